@@ -428,14 +428,14 @@ def map_survey(
     Parameters
     ----------
     surveys : path, or several
-        Files and folders (LAS, LAZ, COPC, PLY, PCD); strings or path-like objects.
+        Files and folders (LAS, LAZ, COPC, PLY, PCD, DSM as GeoTIFF); strings or path-like objects.
     out : path, optional
         Folder for the layers. Without one they are temporary, and deleted with the returned object.
     **settings
         Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``,
         ``ground_classes``, ``align``, ``rating``,
-        ``compat``, ``vehicle``, ``calibration``, ``speed`` [m/s], ``headings``, ``model``, ``crs``,
-        ``force_crs``, ``xy_unit``, ``z_unit``, ``local``, ``trust_points``, ``skip_bad``, ``max_unknown``,
+        ``compat``, ``vehicle``, ``calibration``, ``speed`` [m/s], ``headings``, ``model``, ``crs``, ``force_crs``,
+        ``xy_unit``, ``z_unit``, ``dtm``, ``photo``, ``local``, ``trust_points``, ``skip_bad``, ``max_unknown``,
         ``overwrite``, ``threads``, ``memory``, ``scratch``, ``scheduler``, ``provider``, ``license``; ``features``,
         ``csf`` and ``page`` are dicts, the tables of a settings file.
 

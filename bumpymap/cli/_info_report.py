@@ -105,6 +105,8 @@ class Report:
             label = "error" if file.error else "to map it"
             yield from (Styled(need, "yellow", f"  {label}: ") for need in self._needs(file))
             yield ""
+        if self.config.photo is not None:
+            yield Styled(f"orthophoto: {self.config.photo}", "bold")
         together = self._why_not_together() or self._one_map()
         yield from (Styled(line if number else f"together: {line}", "bold") for number, line in enumerate(together))
         yield from (Styled(as_options(doubt), "yellow", "  doubtful: ") for doubt in self._doubts())
@@ -121,6 +123,7 @@ class Report:
         forecast = self._estimate()
         return {
             "files": [self._record(file) for file in self.files],
+            "photo": self.config.photo and str(self.config.photo),
             "together": " ".join(self._why_not_together()),
             "doubts": [as_options(doubt) for doubt in self._doubts()],
             "too_large": as_options(self._too_large()),
@@ -375,7 +378,10 @@ class Report:
         """Forecast the narrowest standing object that the survey shows, if its points lie evenly."""
         outcome, ground = self._outcome(file.summary), self.config.ground
         told_apart = ground == "csf" or (outcome is not None and outcome.measured == "ground points")
-        return SeenSizes.forecast(file.density or math.nan, self.config.grid.pixel_size, in_relief=not told_apart)
+        most = math.inf if file.info is None else file.info.most_seen
+        return SeenSizes.forecast(
+            min(file.density or math.nan, most), self.config.grid.pixel_size, in_relief=not told_apart
+        )
 
     def _density(self, density: float, summary: PointSummary | None) -> str:
         short = f"{density:.1f}" if density >= 0.1 else f"{density:.1g}"
@@ -401,18 +407,18 @@ def _map_options(config: MapConfig, place: Georeference | None) -> Iterator[str]
         flat, own = horizontal_of(parse_crs(config.crs)), place.crs and horizontal_of(place.crs)
         if flat is not None and own is not None and same_crs(flat, own):
             yield from ("--crs", config.crs)
-    if config.force_crs is not None:
-        yield from ("--set", f"force_crs={config.force_crs}")
-    if config.xy_unit is not None:
-        yield from ("--xy-unit", config.xy_unit)
-    if config.z_unit is not None:
-        yield from ("--z-unit", config.z_unit)
-    if config.trust_points:
-        yield from ("--set", "trust_points=true")
-    if config.ground != "auto":
-        yield from ("--ground", config.ground)
-    if config.ground_classes != GROUND_CLASSES:
-        yield from ("--ground-classes", ",".join(map(str, config.ground_classes)))
+    classes = ",".join(map(str, config.ground_classes))
+    options = [
+        ("--set", f"force_crs={config.force_crs}", config.force_crs is not None),
+        ("--xy-unit", config.xy_unit, config.xy_unit is not None),
+        ("--z-unit", config.z_unit, config.z_unit is not None),
+        ("--photo", config.photo, config.photo is not None),
+        ("--set", "trust_points=true", config.trust_points),
+        ("--ground", config.ground, config.ground != "auto"),
+        ("--ground-classes", classes, config.ground_classes != GROUND_CLASSES),
+    ]
+    yield from (word for option, value, given in options if given for word in (option, str(value)))
+    yield from ["--dtm"] * config.dtm
 
 
 _CLASS_NAMES = (

@@ -1,6 +1,7 @@
 """``bumpymap info``: report what a survey contains, and what a run needs."""
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,7 @@ _BAD_INPUT = 3
 """Exit code if a file cannot be read."""
 
 
-@job("info", settings_options(MapConfig, "tile_size", "ground", "crs"), owners=(MapConfig,), clashes=OF_CRS)
+@job("info", settings_options(MapConfig, "tile_size", "ground", "crs", "dtm"), owners=(MapConfig,), clashes=OF_CRS)
 @click.argument("surveys", nargs=-1, required=True, type=PATH, metavar="SURVEY...")
 @grouped_option("--quick", group="Run", is_flag=True, help="Read only the headers, no points.")
 def command(run: Run, quick: bool) -> None:
@@ -34,12 +35,13 @@ def command(run: Run, quick: bool) -> None:
     """  # noqa: D301 (click wants the character)
     from bumpymap.cli._info_report import Report
     from bumpymap.core import FeatureSettings, memory_bytes
-    from bumpymap.readers import PointSummaryBuilder, ReadOptions, find_surveys
+    from bumpymap.readers import PointSummaryBuilder, ReadOptions, find_surveys, project_photo
     from bumpymap.survey import Budget, with_memory
 
     logging.getLogger("bumpymap").setLevel(logging.ERROR)  # warnings of the readers are in the report
     # Checks that the settings are valid for a run.
     config = MapConfig(**{**with_pixels(run.settings), "out": Path()})
+    config = replace(config, photo=project_photo(config.surveys))
     limited = with_memory(config)
     grid, budget = config.grid, Budget(memory_bytes(limited.memory), config.threads)
     options = ReadOptions(
@@ -52,6 +54,7 @@ def command(run: Run, quick: bool) -> None:
         ground_classes=config.ground_classes,
         keep_classes=True,
         xy_unit=config.xy_unit,
+        dtm=config.dtm,
         pixel_m=grid.pixel_size,
     )
     paths = find_surveys(config.surveys)

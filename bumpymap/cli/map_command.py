@@ -70,11 +70,12 @@ def _import() -> None:
 @job("map", MapConfig, clashes=CLASHES)
 @click.argument("surveys", nargs=-1, type=PATH, metavar="SURVEY...")
 def command(run: Run) -> None:
-    """Make roughness layers and a cost map from SURVEY files or folders (LAS, LAZ, COPC, PLY, PCD).
+    """Make roughness layers and a cost map from SURVEY files or folders (LAS, LAZ, COPC, PLY, PCD, DSM as GeoTIFF).
 
     \b
     bumpymap map site.laz --out site_layers
     bumpymap map flight_1.laz flight_2.laz --out layers --crs EPSG:32614
+    bumpymap map dsm.tif --photo ortho.tif --out layers
     bumpymap map site.laz --out layers --vehicle my_robot.toml --set pixels=21
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     config = MapConfig(**with_pixels(run.required(surveys="site.laz", out="--out DIR")))
@@ -135,10 +136,16 @@ def _copy_sample(survey: Path) -> Path:
 def _lines(result: "MapResult", config: MapConfig) -> Iterator[str | Table]:
     """Yield the result of a run in lines."""
     from bumpymap.core import CLASS_NAMES
+    from bumpymap.readers import project_photo, project_survey
     from bumpymap.survey import describe_lines, ground_line, outcome_of_run, unknown_line
     from bumpymap.views import degrees_line, zones_line
 
     summary = result.summary
+    for folder in config.surveys:
+        if (survey := project_survey(folder)) is not None:
+            photo = project_photo(config.surveys) if config.photo is None else None
+            files = [path.relative_to(folder).as_posix() for path in (survey, photo) if path is not None]
+            yield f"From the ODM project {folder}: {' and '.join(files)}"
     if result.already_done:
         yield f"Already done: {config.out} {ALREADY_DONE}"
     which = outcome_of_run(result, config).measured

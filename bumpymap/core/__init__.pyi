@@ -102,6 +102,15 @@ from .files import (
     write_vertices as write_vertices,
     writing_to as writing_to,
 )
+from .gdal import (
+    CLOSED_GDAL as CLOSED_GDAL,
+    block_bytes as block_bytes,
+    closed_gdal as closed_gdal,
+    gdal_text as gdal_text,
+    open_tiff as open_tiff,
+    raster_lock as raster_lock,
+    raster_statement as raster_statement,
+)
 from .interrupts import (
     Progress as Progress,
     SilentProgress as SilentProgress,
@@ -294,6 +303,7 @@ from .types import (
     CostTable as CostTable,
     Georeference as Georeference,
     ObjectStack as ObjectStack,
+    Orthophoto as Orthophoto,
     PatchStack as PatchStack,
     PointCloud as PointCloud,
     Reason as Reason,

@@ -187,6 +187,10 @@ class MapConfig:
         LengthUnit | None, Setting("Unit of heights: m, ft or us-ft", "UNIT", default="of the CRS", group="Input")
     ] = None
     """Unit of heights, if the survey's CRS does not state it or is wrong."""
+    dtm: Annotated[bool, Setting("Rasters of heights are of the ground alone (DTM)", group="Input")] = False
+    """A pixel of a raster of heights is ground (DTM), and not the highest surface there (DSM)."""
+    photo: Annotated[Path | None, Setting("Orthophoto (GeoTIFF) for photo.tif", "FILE", group="Input")] = None
+    """An orthophoto, for photo.tif, instead of the colours of points."""
     local: Annotated[bool, Setting("Keep the coordinates of surveys without a CRS", group="Input")] = False
     trust_points: Annotated[
         bool, Setting("Accept files whose points contradict the extent in the header", rare=True)

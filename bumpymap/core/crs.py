@@ -101,12 +101,15 @@ def utm_epsg(longitude: float, latitude: float) -> int:
 
 
 def reproject_command(path: Path, longitude_latitude: tuple[float, float] | None, source: str | None) -> str:
-    """Return the PDAL command that reprojects a file from degrees to metres, with a resolution of 1 mm.
+    """Return the command that reprojects a file from degrees to metres: of PDAL, with a resolution of 1 mm, or of GDAL.
 
     ``longitude_latitude`` (float, float) or None: location of the file, degrees; None: the user must fill in the UTM
     zone; ``source``: CRS of the file, if the file itself does not state it.
     """
     target = "EPSG:326ZZ" if longitude_latitude is None else f"EPSG:{utm_epsg(*longitude_latitude)}"
+    if path.suffix.lower() in {".tif", ".tiff"}:
+        words = ["gdalwarp", "-r", "bilinear", "-t_srs", target, *(["-s_srs", source] if source else [])]
+        return shlex.join([*words, str(path), f"{path.stem}_metres.tif"])
     words = ["pdal", "translate", shlex.quote(str(path)), shlex.quote(f"{Path(path).name.split('.')[0]}_metres.laz")]
     words += ["reprojection", f"--filters.reprojection.out_srs={target}"]
     words += [f"--filters.reprojection.in_srs={shlex.quote(source)}"] if source else []

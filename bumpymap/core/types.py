@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -449,6 +450,15 @@ class CostMap:
 
 
 @dataclass(frozen=True, slots=True)
+class Orthophoto:
+    """A photo from above, in a file."""
+
+    path: Path
+    shift: int
+    """Bits that its numbers are shifted by to have 8."""
+
+
+@dataclass(frozen=True, slots=True)
 class CostTable:
     """All rated tiles of a run, read by window, from which the layers are written."""
 
@@ -459,6 +469,8 @@ class CostTable:
     """Columns of `tile_columns`."""
     has_photo: bool = False
     """True if the tiles have the column of `photo_column`, and enough points have a colour."""
+    orthophoto: Orthophoto | None = None
+    """The photo instead of the colours of points."""
 
 
 def photo_column(pixels: int) -> Column:

@@ -96,6 +96,9 @@ from .map_reader import (
     common_window as common_window,
     open_map as open_map,
 )
+from .orthophoto import (
+    open_photo as open_photo,
+)
 from .placement import (
     Placement as Placement,
     RasterSpec as RasterSpec,

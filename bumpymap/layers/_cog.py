@@ -18,12 +18,11 @@ rasterio cannot write category names and raster attribute tables. The layout of 
 import os
 import resource
 import shutil
-import threading
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -35,7 +34,7 @@ from rasterio.errors import RasterioError, StatisticsError
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
-from bumpymap.core import atomic
+from bumpymap.core import atomic, raster_lock
 from bumpymap.layers.placement import Placement, RasterSpec, RasterWindow
 from bumpytiles import BLOCK_TILES
 
@@ -122,32 +121,22 @@ _PAINTED_BEFORE = 32 << 20
 """Largest scratch raster whose pixels are made before its thread waits for GDAL, bytes."""
 OVERVIEWS_FIRST_FROM = 128 << 20
 """Size as a scratch raster from which one of several bands gets its overviews before it is converted, bytes."""
-_gdal = threading.RLock()
-"""Held while GDAL works on a raster, see above."""
 _is_fork = False
 """True if this process was forked: GDAL's threads, if it had any, have stayed in the other."""
 
 
 def _reset_after_fork() -> None:
-    global _gdal, _is_fork
-    _gdal, _is_fork = threading.RLock(), True
+    global _is_fork  # noqa: PLW0603 (of the process)
+    _is_fork = True
 
 
 os.register_at_fork(after_in_child=_reset_after_fork)
 
 
-def raster_lock() -> AbstractContextManager[Any]:
-    """Return the lock that every thread holds while it lets GDAL work on rasters, in memory too: see above.
-
-    Other options of GDAL than its cache are those of a thread, but for the main thread's, which are everyone's.
-    """
-    return _gdal
-
-
 @contextmanager
 def _gdal_alone() -> Iterator[None]:
     """Let GDAL make a raster with its cache as `_GDAL` says, while no other thread does, nor changes the cache."""
-    with _gdal, rasterio.Env(**_GDAL):
+    with raster_lock(), rasterio.Env(**_GDAL):
         yield
 
 

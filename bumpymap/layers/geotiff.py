@@ -38,6 +38,7 @@ from bumpymap.layers.colours import (
     STEP_LINE,
     UNKNOWN_OBJECT,
 )
+from bumpymap.layers.orthophoto import tiles_of_photo
 from bumpymap.layers.placement import Placement, RasterSpec, RasterWindow
 from bumpymap.layers.products import MapFile
 from bumpytiles import BLOCK_TILES, TileTable, TileWindow
@@ -178,6 +179,10 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
         zone = np.where(found["zone"] > 0, found["zone"], np.nan)
         return [zone if name == "zone" else found[name] for name in names]
 
+    def photo(found: _Found, window: RasterWindow) -> NDArray[np.uint8]:
+        colours = found["photo"] if table.orthophoto is None else tiles_of_photo(table, window, found)
+        return np.moveaxis(_with_alpha(colours), -1, 0)
+
     reasons = {int(code): colour for code, colour in REASON_COLOURS.items() if code != Reason.NO_POINTS}
     reasons[NO_CLASS] = REASON_COLOURS[Reason.NO_POINTS]
     return {
@@ -249,10 +254,10 @@ def _layers(table: CostTable) -> dict[MapFile, _Layer]:
             options=codes | pixels | {"colours": OBJECT_COLOURS},
         ),
         MapFile.PHOTO: _Layer(
-            "colours of the points",
+            "colours of the points" if table.orthophoto is None else "orthophoto",
             [*(Band(name) for name in ("red", "green", "blue")), Band("alpha")],
-            (photo_column(table.tiles.grid.pixels).name,),
-            lambda found, _: np.moveaxis(_with_alpha(found["photo"]), -1, 0),
+            (photo_column(table.tiles.grid.pixels).name,) if table.orthophoto is None else (),
+            photo,
             options=pixels | {"dtype": "uint8", "nodata": 0, "is_photo": True},
         ),
         MapFile.PASSAGE: _Layer(
@@ -268,6 +273,8 @@ def shows_photo(table: CostTable) -> bool:
     """Return whether a map has a photo: enough points have a colour, and its pixels are not nearly all empty."""
     tiles = table.tiles
     extent = tiles.window.cols * tiles.window.rows
+    if table.orthophoto is not None:
+        return True
     return table.has_photo and (tiles.tiles >= _SPARSE * extent or extent * tiles.grid.pixels**2 <= _MOST_OF_SPARSE)
 
 

@@ -14,8 +14,7 @@ from rasterio.errors import RasterioError
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from bumpymap.core import BadInputError
-from bumpymap.layers.map_files import closed_gdal, gdal_text
+from bumpymap.core import BadInputError, closed_gdal, gdal_text
 
 
 class _ValuesOnDisk(BackendArray):  # type: ignore[misc]  # mypy does not read xarray

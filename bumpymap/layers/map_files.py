@@ -1,9 +1,7 @@
 """Files of a map as they are read back: opened as the one format that each must be, and held against their manifest.
 
-A folder of layers may come from anybody. GDAL chooses a driver by what a file holds, and several formats (VRT first)
-are instructions to read other files or to fetch URLs. So rasters are opened by the GeoTIFF driver alone, without the
-files that GDAL looks for beside them. Vector files are read in a process whose GDAL has no drivers but those of their
-formats, under limits of time and memory.
+A folder of layers may come from anybody, so rasters are opened as `bumpymap.core.open_tiff` does. Vector files are read
+in a process whose GDAL has no drivers but those of their formats, under limits of time and memory.
 """
 
 import math
@@ -13,8 +11,19 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bumpymap.core import BadInputError, Child, DecoderError, Guard, module_folder, open_regular
-from bumpymap.layers._cog import raster_lock
+from bumpymap.core import (
+    CLOSED_GDAL,
+    BadInputError,
+    Child,
+    DecoderError,
+    Guard,
+    closed_gdal,
+    gdal_text,
+    module_folder,
+    open_regular,
+    open_tiff,
+    raster_lock,
+)
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file
 
 if TYPE_CHECKING:
@@ -50,11 +59,6 @@ def read_colours(
     return colours
 
 
-_CLOSED = {
-    "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",  # no .ovr and .msk, which GDAL opens by any driver
-    "GDAL_PAM_ENABLED": "NO",  # no .aux.xml, which may name other files
-    "CPL_VSIL_CURL_ALLOWED_FILENAME": "-",  # no network
-}
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _STARTS = {
     ".tif": _TIFF,
@@ -65,20 +69,6 @@ _STARTS = {
 }
 
 
-def gdal_text(error: Exception) -> str:
-    """Return why GDAL cannot read a raster; what rasterio raises may only say that this is its cause."""
-    return str(error.__cause__ or error).rstrip(".")
-
-
-@contextmanager
-def closed_gdal(**options: Any) -> Iterator[None]:
-    """Let GDAL read a raster alone: no files beside it, no network, and no other thread of bumpymap, see `_cog`."""
-    import rasterio
-
-    with raster_lock(), rasterio.Env(**_CLOSED, **options):
-        yield
-
-
 @contextmanager
 def open_layer(path: Path, *, remedy: str = _AGAIN, **options: Any) -> "Iterator[DatasetReader]":
     """Open a raster of a map, a GeoTIFF; nothing else is read.
@@ -87,7 +77,7 @@ def open_layer(path: Path, *, remedy: str = _AGAIN, **options: Any) -> "Iterator
     BadInputError: it is missing, damaged or of another format; it leads to other files, or the names in it are no text.
     So is each error of GDAL in the body of the ``with``.
     """
-    with _reading(path, options, remedy), _opened(path, remedy) as file:
+    with _reading(path, options, remedy), open_tiff(path, remedy) as file:
         yield file
 
 
@@ -101,17 +91,6 @@ def _reading(path: Path, options: Mapping[str, Any], remedy: str = _AGAIN) -> It
             yield
     except (UnicodeDecodeError, RasterioError) as error:
         raise BadInputError(f"cannot read {path}: {gdal_text(error)}. {remedy}") from error
-
-
-def _opened(path: Path, remedy: str = _AGAIN) -> "DatasetReader":
-    """Open a raster inside `_reading`; for errors see `open_layer`."""
-    import rasterio
-
-    file = rasterio.open(path, driver="GTiff")
-    if file.tags(ns="OVERVIEWS") or file.tags(ns="SUBDATASETS"):
-        file.close()
-        raise BadInputError(f"{path} keeps a part of its pixels in other files, which are not read. {remedy}")
-    return file
 
 
 _KEPT: dict[str, Any] = {"GDAL_CACHEMAX": 32 << 20}
@@ -152,7 +131,7 @@ class KeptRasters:
             return
         with raster_lock(), _reading(path, _KEPT):
             if path not in self._open:
-                self._open[path] = _opened(path)
+                self._open[path] = open_tiff(path, _AGAIN)
             try:
                 yield self._open[path]
             finally:  # the last body of `keep` may have ended in another thread meanwhile
@@ -212,7 +191,7 @@ def read_features(
 
 def _vector_child(skipped: str) -> Child:
     folders = [module_folder("pyogrio"), module_folder("numpy"), str(Path(__file__).parent)]
-    closed = {**_CLOSED, "GDAL_SKIP": skipped, "PROJ_NETWORK": "OFF"}
+    closed = {**CLOSED_GDAL, "GDAL_SKIP": skipped, "PROJ_NETWORK": "OFF"}
     return Child("to read vector files", "_vector_child", folders, closed)
 
 

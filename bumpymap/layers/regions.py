@@ -18,8 +18,7 @@ import shapely
 from numpy.typing import NDArray
 from rasterio.transform import Affine
 
-from bumpymap.core import NO_CLASS, CostTable
-from bumpymap.layers._cog import raster_lock
+from bumpymap.core import NO_CLASS, CostTable, raster_lock
 from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import BLOCK_TILES, TileWindow
 

@@ -29,13 +29,13 @@ from bumpymap.core import (
     Number,
     describe_crs,
     parse_json,
+    raster_lock,
     read_regular,
     shape_fault,
     short_names,
     short_repr,
     stated_crs,
 )
-from bumpymap.layers._cog import raster_lock
 from bumpymap.layers.map_files import read_features
 from bumpymap.layers.map_reader import MapReader
 from bumpytiles import Grid, TileWindow

@@ -9,6 +9,8 @@ from .detect import (
     find_surveys as find_surveys,
     identity as identity,
     open_survey as open_survey,
+    project_photo as project_photo,
+    project_survey as project_survey,
     reopen_survey as reopen_survey,
 )
 from .drive_signals import parse_columns as parse_columns

@@ -22,13 +22,17 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-Kind = Literal["las", "ply", "pcd"]
-_READABLE = "bumpymap reads LAS, LAZ, COPC, PLY and PCD; scans are PLY, PCD, KITTI-style .bin or bags of ROS 2"
+Kind = Literal["las", "ply", "pcd", "tif"]
+_READABLE = (
+    "bumpymap reads LAS, LAZ, COPC, PLY, PCD and GeoTIFF (DSM); scans are PLY, PCD, KITTI-style .bin or bags of ROS 2"
+)
 _HEAD = 1024
 """Bytes at the start of a file that tell its format."""
 _HEAD_BYTES = 65_536
 """Bytes at each end of a survey that its digest covers."""
 
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+"""First bytes of TIFF and BigTIFF."""
 _FOREIGN = (
     (b"version https://git-lfs", "a Git LFS pointer, not the data itself. Fetch the data with: git lfs pull"),
     (b"ASTM-E57", "an E57 file. Convert it with: pdal translate --reader readers.e57 IN OUT.laz"),
@@ -62,6 +66,10 @@ def reopen_survey(path: Location, options: ReadOptions = ReadOptions()) -> Surve
         from bumpymap.readers.las import LasSurvey
 
         return LasSurvey(path, options)
+    if kind == "tif":
+        from bumpymap.readers.raster import RasterSurvey
+
+        return RasterSurvey(path, options)
     from bumpymap.readers.point_table import TableSurvey
 
     return TableSurvey(path, options, partial(_open_table, kind))
@@ -99,10 +107,10 @@ def read_columns(path: Path, wanted: "Wanted") -> dict[str, NDArray[Any]]:
     declares more than it holds, or is damaged.
     """
     kind = detect_format(path)
-    if kind == "las":
+    if kind in {"las", "tif"}:
         raise BadInputError(
-            f"{path} is a survey (LAS) and not a scan of a robot; scans are PLY, PCD or KITTI-style .bin files. "
-            "Map a survey with: bumpymap map"
+            f"{path} is a survey ({kind.upper()}) and not a scan of a robot; scans are PLY, PCD or KITTI-style .bin "
+            "files. Map a survey with: bumpymap map"
         )
     table = _open_table(kind, path, wanted, ReadOptions().memory, np.float64)
     rows = table.whole()
@@ -123,6 +131,8 @@ def detect_format(path: Location) -> Kind:
         raise BadInputError(f"{path} is empty (0 bytes). Copy or download it again")
     if head.startswith(b"LASF"):
         return "las"
+    if head.startswith(_TIFF):
+        return "tif"
     if head.split(None, 1)[:1] == [b"ply"]:
         return "ply"
     words = [line.split()[:1] for line in head.splitlines() if not line.startswith(b"#")]
@@ -149,16 +159,36 @@ def _describe(head: bytes) -> str:
     return f"of an unknown kind (first bytes {head[:8].hex(' ')})"
 
 
-SUFFIXES = (".las", ".laz", ".ply", ".pcd")
-"""File suffixes that a folder is searched for, in any case (``.laz`` includes ``.copc.laz``)."""
+SUFFIXES, RASTERS = (".las", ".laz", ".ply", ".pcd"), (".tif", ".tiff")
+"""File suffixes that a folder is searched for, in any case (``.laz`` includes ``.copc.laz``); for those of rasters only
+if it holds no other survey, since an orthophoto is a TIFF too."""
+_MAP = "run.json"
+"""In a folder of layers that bumpymap has made: its rasters are no surveys."""
+_ODM = (
+    *("odm_georeferencing/odm_georeferenced_model.laz", "odm_georeferencing/odm_georeferenced_model.las"),
+    "odm_dem/dsm.tif",
+)
+"""Where a project of ODM has its survey; the first one that is there is taken."""
+_ODM_PHOTO = "odm_orthophoto/odm_orthophoto.tif"
+
+
+def project_survey(folder: Path) -> Path | None:
+    """Return the survey of a project of OpenDroneMap (ODM) by its known place; None if the folder is none."""
+    return next((path for name in _ODM if (path := folder / name).is_file()), None)
+
+
+def project_photo(paths: Sequence[Path]) -> Path | None:
+    """Return the orthophoto of the only path, if that is a project of ODM which has one."""
+    photo = Path(paths[0]) / _ODM_PHOTO if len(paths) == 1 else None
+    return photo if photo is not None and photo.is_file() and project_survey(Path(paths[0])) is not None else None
 
 
 def find_surveys(paths: Sequence[Location]) -> list[Location]:
     """Return the survey files at the given paths.
 
-    ``paths``: files (with any suffix) and folders, which are searched recursively for files with
-    ``SUFFIXES``, except hidden ones. Returns them sorted, each once. Raises BadInputError: a path
-    does not exist or cannot be listed, or a folder holds no surveys, or an EPT.
+    ``paths``: files (with any suffix) and folders, which are searched recursively for files with ``SUFFIXES`` or
+    ``RASTERS``, except hidden ones; of a project of ODM, see `project_survey`. Returns them sorted, each once. Raises
+    BadInputError: a path does not exist or cannot be listed, or a folder holds no surveys, or an EPT.
     """
     if not paths:
         raise BadInputError("no survey was given; name a point cloud file or a folder of them")
@@ -191,15 +221,24 @@ def _surveys_in(folder: Path) -> list[Path]:
         raise BadInputError(f"cannot list the folder {error.filename}: {error.strerror}")
 
     found: list[Path] = []
+    rasters: list[Path] = []
     for parent, folders, names in os.walk(folder, onerror=refuse):
+        if (survey := project_survey(Path(parent))) is not None:
+            folders.clear()
+            found.append(survey)
+            continue
         if EPT_NAME in names:
             raise _ept_error(Path(parent) / EPT_NAME)
         folders[:] = [name for name in folders if not name.startswith(".")]
-        found += [Path(parent) / n for n in names if not n.startswith(".") and n.lower().endswith(SUFFIXES)]
+        files = [Path(parent) / name for name in names if not name.startswith(".")]
+        found += [path for path in files if path.name.lower().endswith(SUFFIXES)]
+        if not any((place / _MAP).exists() for place in (Path(parent), Path(parent).parent)):
+            rasters += [path for path in files if path.name.lower().endswith(RASTERS)]
+    found = found or rasters
     if not found:
         raise BadInputError(
-            f"the folder {folder} holds no point cloud; files ending in {', '.join(SUFFIXES)} are searched "
-            "for, in its subfolders too. A file with another suffix can be given by its own path"
+            f"the folder {folder} holds no point cloud and no DSM; files ending in {', '.join((*SUFFIXES, *RASTERS))} "
+            "are searched for, in its subfolders too. A file with another suffix can be given by its own path"
         )
     return sorted(found)
 

@@ -7,7 +7,7 @@ laspy is not used: it creates a Python object for each chunk.
 import math
 import struct
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import BinaryIO, TypeAlias
 
@@ -231,57 +231,6 @@ def _integers_between(scaling: Scaling, axis: int, low: float, high: float) -> t
     return first(lambda place: place <= high), first(lambda place: place < low) - 1
 
 
-RecordRules: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]
-"""Checks of LAS records: (6,) byte and mask of the class, byte and mask of the withheld flag, first byte of the flight
-line, and the line of points where that is 0; (4,) lowest and highest integer of x, then of y, that lie in the box of
-the file; (256,) kind of the points of each class."""
-
-
-def convert_records(
-    pieces: Iterable[Records],
-    chunk: Chunk,
-    rules: RecordRules,
-    scaling: Scaling,
-    lines: bool,
-    colours: tuple[int, int] | None = None,
-) -> ChunkPoints:
-    """Convert LAS point records to points, drop unusable ones, and count all of them.
-
-    ``pieces`` iterable of uint8 (n, bytes of a point): the records. Each piece is only valid until
-    the next is taken; ``chunk``: the chunk that they are of; ``scaling``: makes finite coordinates
-    of all integers; ``lines``: whether sums of flight lines are made; ``colours``: first byte of
-    the colour, and the bits that its numbers are shifted by to have 8; None: colours are not read.
-    """
-    x, y, z = (np.empty(chunk.points, np.int32) for _ in range(3))
-    out = LinedPoints(x, y, z, np.empty(chunk.points, np.uint8), np.empty(chunk.points, np.uint16))
-    extremes, counts = np.array([_HIGHEST, _LOWEST] * 3), np.zeros(4, np.int64)
-    colour = None if colours is None else np.empty(chunk.points, np.uint32)
-    number = 0
-    for records in pieces:
-        if colour is not None and colours is not None:
-            loops.read_colours(records, rules[0], *colours, colour[counts[3] :])
-        loops.filter_records(records, *rules, out, extremes, counts)
-        number += len(records)
-    withheld, noise, outside, kept = counts.tolist()
-    stats = PointStats()
-    some = 0 if colour is None else int(np.count_nonzero(colour[:kept]))
-    if number:
-        # Coordinates grow, or fall, with their integers: the ends are enough.
-        (west, east), (south, north), (low, high) = (
-            sorted(scaling.coordinates(axis, extremes[2 * axis : 2 * axis + 2]).tolist()) for axis in range(3)
-        )
-        stats = PointStats(number, withheld, noise, 0, outside, 0, -1, west, south, east, north, low, high, some)
-    kept = 0 if stats.bad else kept
-    x, y, z, kind, line = out.x[:kept], out.y[:kept], out.z[:kept], out.kind[:kept], out.line[:kept]
-    colour = None if colour is None else colour[:kept]
-    sums = LineSums.of(LinedPoints(x, y, z, kind, line), scaling) if lines else LineSums()
-    if kept < number // 2:
-        # A view would keep the memory of the dropped points.
-        x, y, z, kind = x.copy(), y.copy(), z.copy(), kind.copy()
-        colour = None if colour is None else colour.copy()
-    return ChunkPoints(ScaledPoints(x, y, z, kind, scaling, colour), stats, sums)
-
-
 class LasSurvey(SurveyReader):
     """A LAS, LAZ or COPC file.
 
@@ -317,6 +266,8 @@ class LasSurvey(SurveyReader):
         if bounds is not None:
             limits = ((bounds.west - OUTSIDE, bounds.east + OUTSIDE), (bounds.south - OUTSIDE, bounds.north + OUTSIDE))
         box = [_integers_between(self._scaling, axis, *ends) for axis, ends in enumerate(limits)]
+        # Byte and mask of the class, and of the withheld flag, first byte of the flight line, and the line where that
+        # is 0; integers of x and y that lie in the box; the kind of each class.
         self._rules = np.array(fields), np.array(box).reshape(-1), options.kinds
         self._lines = options.lines
         self._colours: tuple[int, int] | None = None
@@ -385,8 +336,33 @@ class LasSurvey(SurveyReader):
         return records.reshape(chunk.points, size)
 
     def _convert(self, chunk: Chunk, fetched: Records | Iterator[Records]) -> ChunkPoints:
-        pieces = (fetched,) if isinstance(fetched, np.ndarray) else fetched
-        return convert_records(pieces, chunk, self._rules, self._scaling, self._lines, self._colours)
+        x, y, z = (np.empty(chunk.points, np.int32) for _ in range(3))
+        out = LinedPoints(x, y, z, np.empty(chunk.points, np.uint8), np.empty(chunk.points, np.uint16))
+        extremes, counts = np.array([_HIGHEST, _LOWEST] * 3), np.zeros(4, np.int64)
+        colour, scaling = None if self._colours is None else np.empty(chunk.points, np.uint32), self._scaling
+        number = 0
+        for records in (fetched,) if isinstance(fetched, np.ndarray) else fetched:
+            if colour is not None and self._colours is not None:
+                loops.read_colours(records, self._rules[0], *self._colours, colour[counts[3] :])
+            loops.filter_records(records, *self._rules, out, extremes, counts)
+            number += len(records)
+        withheld, noise, outside, kept = counts.tolist()
+        some = 0 if colour is None else int(np.count_nonzero(colour[:kept]))
+        stats = PointStats()
+        if number:
+            # Coordinates grow, or fall, with their integers: the ends are enough.
+            ends = [sorted(scaling.coordinates(axis, extremes[2 * axis : 2 * axis + 2])) for axis in range(3)]
+            dropped = {"withheld": withheld, "noise": noise, "outside": outside}
+            stats = PointStats.within(ends, number, **dropped, coloured=some)
+        kept = 0 if stats.bad else kept
+        x, y, z, kind, line = out.x[:kept], out.y[:kept], out.z[:kept], out.kind[:kept], out.line[:kept]
+        colour = None if colour is None else colour[:kept]
+        sums = LineSums.of(LinedPoints(x, y, z, kind, line), scaling) if self._lines else LineSums()
+        if kept < number // 2:
+            # A view would keep the memory of the dropped points.
+            x, y, z, kind = x.copy(), y.copy(), z.copy(), kind.copy()
+            colour = None if colour is None else colour.copy()
+        return ChunkPoints(ScaledPoints(x, y, z, kind, scaling, colour), stats, sums)
 
 
 def _refuse_numbers(path: Location, raw: RawHeader) -> None:

@@ -225,6 +225,12 @@ class PointStats:
     coloured: int = 0
     """Points with a colour, among those that are not dropped."""
 
+    @classmethod
+    def within(cls, ends: Sequence[Any], points: int, **counts: int) -> Self:
+        """Return the statistics of points between the ends of easting, northing and height, m."""
+        (west, east), (south, north), (low, high) = (map(float, pair) for pair in ends)
+        return cls(points, west=west, south=south, east=east, north=north, lowest=low, top=high, **counts)
+
     def merge(self, other: "PointStats") -> "PointStats":
         """Return the statistics of both sets of points; the order does not matter."""
         firsts = [first for first in (self.first_not_finite, other.first_not_finite) if first >= 0]

@@ -67,20 +67,9 @@ def convert_points(
             no_return = np.logical_or.reduce([np.isnan(axis) for axis in axes])
         bad = ~np.logical_and.reduce([np.isfinite(axis) for axis in axes]) & ~no_return
     noise = ((codes == 7) | (codes == 18)) & ~no_return
-    (west, east), (south, north), (low, high) = np.array(ends).tolist()
-    stats = PointStats(
-        points=size,
-        noise=int(noise.sum()),
-        not_a_number=int(no_return.sum()),
-        not_finite=int(bad.sum()),
-        first_not_finite=first + int(bad.argmax()) if bad.any() else -1,
-        west=west,
-        south=south,
-        east=east,
-        north=north,
-        lowest=low,
-        top=high,
-    )
+    lost = {"noise": int(noise.sum()), "not_a_number": int(no_return.sum()), "not_finite": int(bad.sum())}
+    first_bad = first + int(bad.argmax()) if bad.any() else -1
+    stats = PointStats.within(ends, size, **lost, first_not_finite=first_bad)
     kept = ~(noise | no_return) & (not stats.bad)
     if not kept.all():
         axes, codes = (axes[0][kept], axes[1][kept], axes[2][kept]), codes[kept]

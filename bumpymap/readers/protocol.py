@@ -48,6 +48,8 @@ class ReadOptions:
     """True if the colours of points are read, where a file has some."""
     xy_unit: LengthUnit | None = None
     """Unit of easting and northing of files without a CRS; None: that of the file, else metres."""
+    dtm: bool = False
+    """True if a pixel of a raster of heights is ground; else it is the highest surface there."""
     pixel_m: float = math.inf
     """Side of the pixels that points are for, m: files whose coordinates are too coarse for them are refused."""
 
@@ -104,6 +106,8 @@ class SurveyInfo:
     """Lowest and highest in the header, m; None if the format has none, or they are to be ignored."""
     class_names: Mapping[int, str] = field(default_factory=dict)
     """Names that the file gives to classes."""
+    most_seen: float = math.inf
+    """Points per m2 of which more show nothing more: many pixels of a raster are interpolated."""
     header_date: date | None = None
     """Date in the header of a LAS file: often that of the flight or of processing. None if there is no valid one."""
 
@@ -118,6 +122,8 @@ class Chunk:
     """Number of points before it in reading order."""
     points: int
     """Number of points, as declared in the header or the chunk table."""
+    window: tuple[int, int, int, int] = (0, 0, 0, 0)
+    """Of a raster: first column and row, number of columns and rows."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bumpymap.core import BadInputError, Georeference, MapConfig, common_georeference, memory_bytes
-from bumpymap.layers import check_extent
+from bumpymap.core import BadInputError, Georeference, MapConfig, Orthophoto, common_georeference, memory_bytes
+from bumpymap.layers import check_extent, open_photo
 from bumpymap.readers import ReadOptions, SurveyInfo, SurveyReader, find_surveys, open_survey
 from bumpytiles import Grid, TileWindow
 
@@ -29,8 +29,9 @@ def read_options(config: MapConfig, *, crs_must_agree: bool = False) -> ReadOpti
         force_crs=config.force_crs,
         crs_must_agree=crs_must_agree,
         ground_classes=config.ground_classes,
-        colour=True,
+        colour=config.photo is None,
         xy_unit=config.xy_unit,
+        dtm=config.dtm,
         pixel_m=config.grid.pixel_size,
     )
 
@@ -46,6 +47,7 @@ class SurveyInputs:
     """True: a bad input is skipped instead of ending the run."""
     skipped: dict[str, str]
     """Path -> error message; grows while points are read."""
+    photo: Orthophoto | None = None
 
     @classmethod
     def open(cls, config: MapConfig, *, crs_must_agree: bool = True) -> "SurveyInputs":
@@ -79,7 +81,9 @@ class SurveyInputs:
             _log.warning(
                 "no CRS states a unit: metres are assumed; if they are feet, pass `xy_unit='ft'` or `xy_unit='us-ft'`"
             )
-        return cls(readers, georeference, config.skip_bad, skipped)
+        areas = [info.bounds for info in infos]
+        photo = None if config.photo is None else open_photo(config.photo, georeference, areas)
+        return cls(readers, georeference, config.skip_bad, skipped, photo)
 
     @property
     def paths(self) -> list[Path]:

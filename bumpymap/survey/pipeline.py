@@ -23,6 +23,7 @@ from bumpymap.core import (
 from bumpymap.layers import check_folder, is_complete
 from bumpymap.patches import close_filter, relief_margin, require_filter
 from bumpymap.rating import map_rule
+from bumpymap.readers import project_photo
 from bumpymap.survey.engine import (
     BlockWork,
     Budget,
@@ -62,6 +63,7 @@ def map_surveys(config: MapConfig, progress: Progress | None = None, *, in_batch
     """
     try:
         with remove_empty_on_error(config.out), locked(config.out):
+            config = config if config.photo else replace(config, photo=project_photo(config.surveys))
             return _map(with_memory(config), progress or SilentProgress(), in_batch=in_batch)
     finally:
         close_filter()
@@ -96,7 +98,8 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
         check_folder(config.out, overwrite=True)
     discard = overwrite or (in_batch and not complete)
     grid = config.grid
-    rating = TileRating.of(config, models, inputs.georeference)
+    most_seen = min(reader.info.most_seen for reader in inputs.readers)
+    rating = TileRating.of(config, models, inputs.georeference, most_seen)
     in_relief = rating.measure_all if config.compat == "none" else None  # the paper knows no obstacles
     columns = rated_columns(grid.pixels, headings=config.headings)
     if any(reader.has_colour for reader in inputs.readers):
@@ -120,6 +123,7 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
             map_rule(models.calibration),
             tiles,
             has_photo=measured.coloured >= _COLOURED * measured.points,
+            orthophoto=inputs.photo,
         )
         lines = compare_lines(measured.lines)
         manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines, warnings)

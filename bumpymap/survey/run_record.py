@@ -148,7 +148,9 @@ def describe_run(config: MapConfig, inputs: SurveyInputs, models: RatingModels, 
     return {
         "inputs": {str(path): _identity(path, required=str(path) not in inputs.skipped) for path in inputs.paths},
         "settings": flat_settings(config, _WITHOUT_EFFECT),
-        "made with": versions(config.ground) | {"model": models.texture_id, "calibration": models.calibration.id},
+        "made with": versions(config.ground)
+        | {"model": models.texture_id, "calibration": models.calibration.id}
+        | ({} if config.photo is None else {"photo": identity(config.photo)["digest"]}),
         "cut": {"chunk_points": budget.chunk_points},
     }
 
@@ -163,7 +165,10 @@ def earlier_result(config: MapConfig, run_spec: Mapping[str, Any]) -> MapResult:
         skipped = {str(path): str(why) for path, why in record["skipped"].items()}
         ignored = _WITHOUT_EFFECT if skipped else {*_WITHOUT_EFFECT, "skip_bad"}
         before = spec_of_manifest(
-            record, ignored, {"model": record["model"], "calibration": record["calibration"]["id"]}
+            record,
+            ignored,
+            {"model": record["model"], "calibration": record["calibration"]["id"]}
+            | ({"photo": record["photo"]} if "photo" in record else {}),
         )
         summary = MapSummary.of(record["counts"])
         points, ground_only, seconds = record["points"], record["ground_only"], record["seconds"]
@@ -216,6 +221,7 @@ def run_manifest(
         "points": measured.points,
         "flight_lines": lines.to_record(),
         "model": models.texture_id,
+        **({"photo": run_spec["made with"]["photo"]} if config.photo else {}),
         "calibration": {
             "id": calibration.id,
             "vehicle": calibration.vehicle["name"],

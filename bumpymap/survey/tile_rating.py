@@ -1,6 +1,7 @@
 """Points of tiles in, rated tiles out: the steps that a run applies to every block."""
 
 import logging
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -99,12 +100,16 @@ class TileRating:
     ride: RideModel | None
     """None: rate by texture and relief."""
     georeference: Georeference
+    most_seen: float = math.inf
+    """Points per m2 of which more show nothing more."""
 
     @classmethod
-    def of(cls, config: MapConfig, models: RatingModels, georeference: Georeference) -> "TileRating":
+    def of(
+        cls, config: MapConfig, models: RatingModels, georeference: Georeference, most_seen: float = math.inf
+    ) -> "TileRating":
         """Choose the steps that the settings ask for."""
         ride = RideModel(models.calibration, headings=config.headings) if config.by_ride else None
-        return cls(config, models, ride, georeference)
+        return cls(config, models, ride, georeference, most_seen)
 
     def measure_all(self, points: TilePoints) -> PatchStack:
         """Measure tiles from all of their points."""
@@ -151,7 +156,8 @@ class TileRating:
         thin = self._thin(points, patches, on_ground, bare.count)
         measured = replace(patches, relief=bare.relief, slope=bare.slope, reason=bare.reason)
         if objects is not None:
-            states, count, size = objects.objects, np.diff(points.starts), points.grid.tile_size
+            states, size = objects.objects, points.grid.tile_size
+            count = np.minimum(np.diff(points.starts), self.most_seen * size**2)
             held = (states != UNSEEN) & (states % SEEN != EMPTY)
             smallest = smallest_object(held, count, size, in_relief=not ground_only)
             rated = replace(rated, all_density=(count / size**2).astype(np.float32), smallest_object=smallest)

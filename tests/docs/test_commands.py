@@ -14,6 +14,7 @@ import click
 import laspy
 import numpy as np
 import pytest
+import rasterio
 from bags import cloud, lidar_rows, odometry, write_bag
 from made_drives import MadeDrive, log_of, write_table
 from made_frames import churned_field, write_bin
@@ -115,6 +116,19 @@ def furnish(folder: Path) -> None:
         write_las(folder / name, x[near], y[near], z[near], crs=CRS, offset=survey.header.offsets, **classes)
     for name in ("survey.laz", "may.laz", "june.laz"):
         shutil.copy(folder / "site.laz", folder / name)
+    odm = folder / "odm_project"
+    for name in ("odm_georeferencing/odm_georeferenced_model.laz", "odm_orthophoto/odm_orthophoto.tif"):
+        (odm / name).parent.mkdir(parents=True)
+    shutil.copy(folder / "site.laz", odm / "odm_georeferencing" / "odm_georeferenced_model.laz")
+    kinds = {"ortho": ("odm_project/odm_orthophoto/odm_orthophoto.tif", "ortho.tif"), "dsm": ("dsm.tif", "dtm.tif")}
+    for kind, names in kinds.items():
+        shutil.copy(samples / f"quarry_{kind}.tif", folder / "sample_data")
+        for name in names:
+            shutil.copy(samples / f"quarry_{kind}.tif", folder / name)
+            with rasterio.open(folder / name, "r+") as raster:
+                raster.crs = CRS  # as that of site.laz
+    local = np.column_stack([x, y, z])[near] - (np.median(x), np.median(y), np.median(z))
+    PointCloud.from_xyz_points(local.astype(np.float32)).save(str(folder / "slam.pcd"), Encoding.BINARY)
     _drive(folder)
     for name in ("my_vehicle", "my_robot"):
         shutil.copy(data / "vehicles" / "small_rover.toml", folder / f"{name}.toml")

@@ -55,6 +55,8 @@ class MapSettings(TypedDict, total=False):
     force_crs: str | int | None
     xy_unit: LengthUnit | None
     z_unit: LengthUnit | None
+    dtm: bool
+    photo: PathLike | None
     local: bool
     trust_points: bool
     skip_bad: bool

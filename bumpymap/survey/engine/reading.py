@@ -262,7 +262,7 @@ _NAMED = 5
 _WHY = {
     "withheld": "are flagged as withheld",
     "noise": "are of class 7 or 18 (noise)",
-    "not_a_number": "are beams without return",
+    "not_a_number": "have no height (beams without return, pixels without data)",
 }
 
 

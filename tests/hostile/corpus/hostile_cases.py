@@ -14,6 +14,8 @@ import lazrs
 import numpy as np
 from las_files import geokeys, wkt
 from pyproj import CRS
+from rasterio.io import MemoryFile
+from rasterio.transform import Affine
 
 from .files import (
     EITHER,
@@ -46,7 +48,7 @@ def hostile_files():
     texts = [case for name in ("text.ply", "little.ply", "binary.pcd", "packed.pcd") for case in _words(name)]
     cuts = [case for name in bases() if name != "laz14.laz" for case in _cuts(name)]
     tables = [case for name in ("laz12.laz", "laz14v.laz") for case in _tables(name)]
-    odd = [*_systems(), *_points(), *_headers(), *_rows(), *_foreign()]
+    odd = [*_systems(), *_points(), *_headers(), *_rows(), *_foreign(), *_rasters()]
     return [*numbers, *texts, *cuts, *tables, _endless(), *odd]
 
 
@@ -288,6 +290,28 @@ def _foreign():
         "crlf_mangled.laz": bases()["laz12.laz"].replace(b"\n", b"\r\n"),
     }
     return [Case(f"foreign-{name}", data) for name, data in held.items()]
+
+
+def _rasters():
+    """Cuts of a small DSM, and other numbers in every entry of its directory and in its blocks."""
+    made = {"deflate": {"compress": "deflate", "tiled": True, "blockxsize": 16, "blockysize": 16}, "strips": {}}
+    for name, how in made.items():
+        with MemoryFile() as memory:
+            shape = {"driver": "GTiff", "width": 30, "height": 30, "count": 1, "dtype": "float32", "nodata": -9999.0}
+            place = {"crs": "EPSG:32614", "transform": Affine(0.2, 0, 500_001, 0, -0.2, 4_000_007)}
+            with memory.open(**shape, **place, **how) as file:
+                file.write(np.linspace(100.0, 101.0, 900, dtype="float32").reshape(1, 30, 30))
+            data = bytes(memory.read())
+        yield from (Case(f"{name}-cut-{n}.tif", data[:n], EITHER) for n in range(4, len(data) - 1, len(data) // 12))
+        (at,) = struct.unpack_from("<I", data, 4)
+        (entries,) = struct.unpack_from("<H", data, at)
+        for number in range(entries):
+            for field, (shift, form) in enumerate(((0, "H"), (2, "H"), (4, "I"), (8, "I"))):
+                value = (0, 1, 2**31 - 1, 2**32 - 1)[(number + field) % 4] % 256 ** struct.calcsize(form)
+                damaged = patched(data, at + 2 + 12 * number + shift, form, value)
+                yield Case(f"{name}-entry_{number}-field_{field}.tif", damaged, EITHER)
+        for place in range(len(data) // 2, len(data), len(data) // 12):
+            yield Case(f"{name}-bytes_{place}.tif", data[:place] + b"\xff" * 40 + data[place + 40 :], EITHER)
 
 
 _LINKS = {
