@@ -417,19 +417,13 @@ def _on_grid(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_m
 
 
 def _around(route_map: MapReader, transformer: Transformer) -> tuple[shapely.Geometry | None, float]:
-    """Return the surroundings of the map in the CRS of a file, None if they have no bounds there; and a short length.
-
-    A map across the antimeridian has two of them in degrees, one on each side.
-    """
+    """Return the surroundings of the map in the CRS of a file, None if it has no bounds there; and a short length."""
     bounds, unit = route_map.grid.window_bounds(route_map.window), route_map.georeference.metres_per_unit
     x0, y0, x1, y1 = (side / unit for side in (bounds.west, bounds.south, bounds.east, bounds.north))
     west, south, east, north = transformer.transform_bounds(x0, y0, x1, y1, densify_pts=21, direction="INVERSE")
-    is_cut = east < west
-    side = max(east - west + (360.0 if is_cut else 0.0), north - south)
-    if not (np.isfinite(side) and side > 0.0):
+    side = max(east - west, north - south)
+    if not (np.isfinite(side) and east > west):  # across the antimeridian it ends west of where it begins
         degrees = transformer.source_crs is not None and transformer.source_crs.is_geographic
         return None, 1e-3 if degrees else 100.0
     pad = _BEYOND * side
-    spans = [(west - pad, 180.0), (-180.0, east + pad)] if is_cut else [(west - pad, east + pad)]
-    boxes = [shapely.box(low, south - pad, high, north + pad) for low, high in spans]
-    return shapely.union_all(boxes), side / _STEPS
+    return shapely.box(west - pad, south - pad, east + pad, north + pad), side / _STEPS
