@@ -48,27 +48,24 @@ if TYPE_CHECKING:
 
     Point = str | tuple[float, float]
 
-_CLASSES = Band("class", "", "roughness class, 0 (smooth) to 3 (very rough)")
-_REASONS = Band("reason", "", "why a tile has no class")
-_COST = Band("cost", "", "factor on distance for a planner; NaN where the tile is not passable")
-_SPEED = Band("speed", "m/s", "highest speed within the comfort limits; 0 where the tile is not passable")
-_BARRED = Band("barred", "", "why the tile is not passable")
-_HEIGHT = Band("height", "m", "mean height of the points in the pixel")
-_OBSTACLE = Band("objects", "", "standing objects")
-_PASSAGE = Band("passage", "", "area of the tile in which the middle of the vehicle can move; 0 where it cannot be")
-_FLAGS = {
-    "class": CLASS_NAMES,
-    "reason": tuple(REASON_TEXT.values()),
-    "barred": tuple(BARRED_TEXT.values()),
-    "objects": OBJECT_NAMES,
+_TILE_RASTERS: dict[MapFile, tuple[Band, ...]] = {
+    MapFile.ROUGHNESS: BANDS,
+    MapFile.CLASS: (Band("class", "", "roughness class, 0 (smooth) to 3 (very rough)", CLASS_NAMES),),
+    MapFile.REASON: (Band("reason", "", "why a tile has no class", tuple(REASON_TEXT.values())),),
+    MapFile.COST: (Band("cost", "", "factor on distance for a planner; NaN where the tile is not passable"),),
+    MapFile.SPEED: (Band("speed", "m/s", "highest speed within the comfort limits; 0 where the tile is not passable"),),
+    MapFile.BARRED: (Band("barred", "", "why the tile is not passable", tuple(BARRED_TEXT.values())),),
 }
+_HEIGHT = Band("height", "m", "mean height of the points in the pixel")
+_OBJECTS = Band("objects", "", "standing objects", OBJECT_NAMES)
+_PASSAGE = Band("passage", "", "area of the tile in which the middle of the vehicle can move; 0 where it cannot be")
 
 
 class Layers:
     """The layers of a run, as returned by `map_survey` and `open`.
 
-    Only the manifest is read at once; the other files are read when a method needs them. ``dataset``, ``heights``,
-    ``tiles`` and ``regions`` need the extra ``notebook``.
+    Only the manifest is read at once; the other files are read when a method needs them. It raises BadInputError if a
+    file is missing or damaged, and UsageError if it returns arrays or tables without the extra ``notebook``.
 
     Parameters
     ----------
@@ -118,34 +115,19 @@ class Layers:
         -------
         xarray.Dataset
             Dimensions ``y`` (north first) and ``x``, at tile centres. The bands of roughness.tif (``c_r``, ``slope``,
-            ...), ``cost`` and ``speed`` (not of earlier versions) are float32 variables, NaN where unknown; ``class``
+            ...), ``cost`` and ``speed`` are float32 variables, NaN where unknown; ``class``
             (255 where unknown), ``reason`` (0 where there is a class) and ``barred`` (0 where passable) are uint8, 255
             outside the tiles with points.
             Each has the attributes ``units`` and ``long_name``, the dataset ``survey``, ``vehicle``, ``calibration``;
             ``to_netcdf`` needs no other library. CRS and transform are in ``spatial_ref``. Values are
             read from the files when they are used; those of a run in memory are loaded already.
-
-        Raises
-        ------
-        UsageError
-            The extra ``notebook`` is not installed.
-        BadInputError
-            A file of the run is missing or damaged.
         """
-        listed = {file["path"] for file in self.manifest["files"]}
-        found = [
-            *self._variables(MapFile.ROUGHNESS, BANDS),
-            *self._variables(MapFile.CLASS, (_CLASSES,)),
-            *self._variables(MapFile.REASON, (_REASONS,)),
-            *self._variables(MapFile.COST, (_COST,)),
-            *(self._variables(MapFile.SPEED, (_SPEED,)) if MapFile.SPEED in listed else ()),
-            *self._variables(MapFile.BARRED, (_BARRED,)),
-        ]
+        found = [variable for name, bands in _TILE_RASTERS.items() for variable in self._variables(name, *bands)]
         for other in found[1:]:
             if not all(other[side].equals(found[0][side]) for side in "xy"):
                 raise BadInputError(f"the rasters in {self._folder} do not span the same tiles. Map the survey again")
         dataset = import_notebook("xarray").Dataset({variable.name: variable for variable in found})
-        title, rating = f"ride cost and roughness for {self._vehicle}", self.manifest.get("settings", {}).get("rating")
+        title, rating = f"ride cost and roughness for {self._vehicle}", self.manifest["settings"].get("rating")
         return dataset.assign_attrs(title=title, **self._about, rating=rating or "")
 
     def heights(self) -> "xarray.DataArray":
@@ -155,15 +137,8 @@ class Layers:
         -------
         xarray.DataArray
             Dimensions ``y`` (north first) and ``x``, at pixel centres. Values are read when they are used.
-
-        Raises
-        ------
-        UsageError
-            The extra ``notebook`` is not installed.
-        BadInputError
-            heightmap.tif is missing or damaged.
         """
-        return next(self._variables(MapFile.HEIGHTMAP, (_HEIGHT,))).assign_attrs(self._about)
+        return next(self._variables(MapFile.HEIGHTMAP, _HEIGHT)).assign_attrs(self._about)
 
     def obstacles(self) -> "xarray.DataArray":
         """Open obstacle.tif: 0 free, 1 obstacle, 2 canopy, 3 unknown; 255 outside the tiles with points.
@@ -172,23 +147,16 @@ class Layers:
         -------
         xarray.DataArray
             Dimensions ``y`` (north first) and ``x``, the pixels of `heights`. Values are read when they are used.
-
-        Raises
-        ------
-        UsageError
-            The extra ``notebook`` is not installed.
-        BadInputError
-            obstacle.tif is missing or damaged.
         """
-        return next(self._variables(MapFile.OBSTACLE, (_OBSTACLE,))).assign_attrs(self._about)
+        return next(self._variables(MapFile.OBSTACLE, _OBJECTS)).assign_attrs(self._about)
 
     def passage(self) -> "xarray.DataArray":
         """Open passage.tif: 0 closed, else the number of the area of its tile; 255 outside the tiles with points.
 
         The areas are the nodes of a graph, and where pixels of two of them touch across the border of their tiles is an
-        arc. See `obstacles` for the dimensions and errors.
+        arc. See `obstacles` for the dimensions.
         """
-        return next(self._variables(MapFile.PASSAGE, (_PASSAGE,))).assign_attrs(self._about)
+        return next(self._variables(MapFile.PASSAGE, _PASSAGE)).assign_attrs(self._about)
 
     def tiles(self) -> "geopandas.GeoDataFrame":
         """Read tiles.parquet.
@@ -197,13 +165,6 @@ class Layers:
         -------
         geopandas.GeoDataFrame
             One row for each tile with points; the geometry is the square of the tile, in the survey's CRS.
-
-        Raises
-        ------
-        UsageError
-            The extra ``notebook`` is not installed.
-        BadInputError
-            The file is missing or damaged.
         """
         with self._file(MapFile.TILES) as path:
             require_format(path)
@@ -218,13 +179,6 @@ class Layers:
         geopandas.GeoDataFrame
             One row for each region, a group of adjacent tiles of one class; the geometry is its outline, in the
             survey's CRS.
-
-        Raises
-        ------
-        UsageError
-            The extra ``notebook`` is not installed.
-        BadInputError
-            The file is missing or damaged.
         """
         with self._file(MapFile.REGIONS_IN_CRS) as path:
             (crs, geometry, columns), geopandas = read_features(path), import_notebook("geopandas")
@@ -323,17 +277,13 @@ class Layers:
 
     @property
     def _vehicle(self) -> str:
-        return str(self.manifest.get("calibration", {}).get("vehicle", "an unknown vehicle"))
+        return str(self.manifest["calibration"]["vehicle"])
 
     @property
     def _about(self) -> dict[str, str]:
         """Survey, vehicle and calibration, as attributes of arrays."""
-        survey, calibration = (self.manifest.get(key) or {} for key in ("survey", "calibration"))
-        return {
-            "survey": str(survey.get("name") or ""),
-            "vehicle": self._vehicle,
-            "calibration": str(calibration.get("id") or ""),
-        }
+        calibration = self.manifest["calibration"]["id"]
+        return {"survey": self.manifest["survey"]["name"], "vehicle": self._vehicle, "calibration": calibration}
 
     @cached_property
     def _bounds(self) -> tuple[float, float, float, float] | None:
@@ -344,7 +294,7 @@ class Layers:
         except BadInputError:
             return None
 
-    def _variables(self, name: MapFile, bands: tuple[Band, ...]) -> "Iterator[xarray.DataArray]":
+    def _variables(self, name: MapFile, *bands: Band) -> "Iterator[xarray.DataArray]":
         """Yield the bands of a raster as named variables with units."""
         with self._file(name) as path:
             rioxarray = import_notebook("rioxarray")
@@ -362,11 +312,10 @@ class Layers:
         for number, band in enumerate(bands):
             variable = raster.isel(band=number, drop=True).rename(band.name)
             variable.attrs = {"long_name": band.description, "units": band.unit or "1"}
-            if band.name in _FLAGS:
-                names = _FLAGS[band.name]
+            if band.categories:
                 variable.attrs |= {
-                    "flag_values": list(range(len(names))),
-                    "flag_meanings": " ".join(text.replace(" ", "_") for text in names),
+                    "flag_values": list(range(len(band.categories))),
+                    "flag_meanings": " ".join(text.replace(" ", "_") for text in band.categories),
                 }
             if variable.dtype == "uint8":  # netCDF 3, which is all that SciPy writes, has no such type
                 variable.encoding["dtype"], nodata = "int16", nodata.astype("int16")
@@ -383,8 +332,6 @@ class Layers:
         if name not in self._checked and not self._in_memory:
             require_written(self._folder, self._manifest, (name,))
             self._checked.add(name)
-        if not path.exists():
-            raise BadInputError(f"{path} is missing: it was not written, or was removed since. Map the survey again")
         try:
             yield path
         except BumpymapError:

@@ -407,16 +407,10 @@ def refuse_unknown(given: Iterable[str], known: Collection[str], function: str) 
         raise UsageError(f"{function}: {unknown_text(unknown, known)}")
 
 
-_GONE = {"speeds": "a map has one speed: give `speed=2`, and map again, into another folder, for each other one"}
-"""Settings of earlier versions -> what to give instead."""
-
-
 def unknown_text(unknown: list[str], known: Collection[str], kind: str = "setting") -> str:
     """Return what is wrong with names that are not known, and what to give instead; ``kind``: what they are of."""
     from difflib import get_close_matches
 
-    if gone := [name for name in unknown if name in _GONE]:
-        return f"there is no {kind} {gone[0]} any more: {_GONE[gone[0]]}"
     near = get_close_matches(unknown[0][:_LONGEST_NAME], known, 1)
     meant = f". Did you mean {near[0]}?" if near else ""
     return f"unknown {kind} {short_names(unknown)}; there are: {', '.join(known)}{meant}"

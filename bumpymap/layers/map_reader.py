@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -56,9 +55,6 @@ CHECKED_BYTES = 64 << 20
 """The checksum of a larger raster, which takes a second for 1.4 GB, is compared when it is first read."""
 _OFF = 1e-3
 """Greatest distance of a raster's corner from a corner of the grid of tiles, in tiles."""
-_PIECE = 512
-"""Side of the pieces that are read at once, raster pixels: roughness.tif keeps 17 bands together, which GDAL decodes
-for one; a piece of all of them fits into its cache."""
 _AGAIN = "Map the survey again"
 _PLANE_PIXELS = 1 << 20
 """Heights that planes are put through at once: chosen, 4 MB."""
@@ -214,12 +210,10 @@ class MapReader:
         return self.passage_shown(window, self._shape(window))
 
     def zone_at(self, point: NDArray[np.float64]) -> int:
-        """Return the zone that a point, (2,) easting and northing [m], lies in; 0: in none, or it is not known.
+        """Return the zone that a point, (2,) easting and northing [m], lies in; 0: in none.
 
         The zone of a tile is that of its largest area: in the others it is not known.
         """
-        if "zones" not in self.manifest["counts"]:  # of an earlier version
-            return 0
         (col,), (row,) = tile = self.grid.index(point[:, None])
         window, pixels = TileWindow(int(col), int(row), 1, 1), self.grid.pixels
         right, up = self.grid.pixel(point[:, None], tile)[:, 0]
@@ -262,11 +256,9 @@ class MapReader:
             if missing := [band for band in bands if band not in file.descriptions]:
                 raise BadInputError(f"{self.folder / name} has no band {missing[0]}. {_AGAIN}")
             numbers = [file.descriptions.index(band) + 1 for band in bands] or [1]
-            # Cut at multiples of a piece, so that no block of the file is decoded twice.
-            for lines, columns in product(_cut(top, top + rows), _cut(left, left + cols)):
-                place = slice(lines[0] - top, lines[1] - top), slice(columns[0] - left, columns[1] - left)
-                for array, values in zip(out, file.read(numbers, window=(lines, columns)), strict=True):
-                    array[place] = values
+            found = file.read(numbers, window=((top, top + rows), (left, left + cols)))
+            for array, values in zip(out, found, strict=True):
+                array[:] = values
 
     def _read_pixels(self, name: MapFile, window: TileWindow, shape: tuple[int, int]) -> NDArray[Any]:
         """Read a window of the map of a raster with several pixels a tile, in ``shape`` pixels.
@@ -352,19 +344,18 @@ def open_map(folder: str | os.PathLike[str]) -> MapReader:
     """
     folder, rasters = Path(folder), KeptRasters()
     manifest = read_manifest(folder)
+    require_written(folder, manifest, _rasters(manifest), most=CHECKED_BYTES)
+    crs, unit, cost, own = (manifest[name] for name in ("crs", "metres_per_unit", "cost", "vehicle"))
     try:
-        require_written(folder, manifest, _rasters(manifest), most=CHECKED_BYTES)
-        crs, unit = manifest["crs"], manifest["metres_per_unit"]
         known = None if crs is None else stated_crs(crs["wkt"])
-        cost, own = manifest["cost"], manifest["vehicle"]
-        names = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
-        ride, fail, drive, slope = (float(cost[name]) for name in names)
-        grid = Grid(float(manifest["grid"]["tile_size_m"]), int(manifest["grid"]["pixels"]))
-        georeference = Georeference(known, float(unit["horizontal"]), float(unit["vertical"]))
-        rule = CostRule(ride, fail, drive, slope, _speeds(cost))
-        vehicle = RouteVehicle(own["name"], float(own["width_m"]), float(own["speed_mps"]))
-    except (LookupError, TypeError, ValueError, AttributeError, CRSError) as error:
+    except CRSError as error:
         raise BadInputError(f"{folder / 'run.json'} is damaged: {error!r}. {_AGAIN}") from error
+    grid = Grid(manifest["grid"]["tile_size_m"], manifest["grid"]["pixels"])
+    georeference = Georeference(known, unit["horizontal"], unit["vertical"])
+    weights = {"ride_weight": cost["ride_weight_m_per_rad"], "fail_weight": cost["fail_weight_m"]}
+    limits = {"drive_m": cost["drive_m"], "slope_limit_deg": cost["slope_limit_deg"]}
+    rule = CostRule(**weights, **limits, speeds=tuple((c_r, mps) for mps, c_r in cost["speeds_mps_at_c_r_radpm"]))
+    vehicle = RouteVehicle(own["name"], own["width_m"], own["speed_mps"])
     windows = {name: _window_of(folder, name, grid, georeference, rasters) for name in _rasters(manifest)}
     (first, window), *others = windows.items()
     for name, own in others:
@@ -393,10 +384,6 @@ def common_window(first: TileWindow, second: TileWindow) -> TileWindow | None:
     return TileWindow(west, south, cols, rows) if cols > 0 and rows > 0 else None
 
 
-def _cut(start: int, stop: int) -> list[tuple[int, int]]:
-    return list(pairwise([start, *range((start // _PIECE + 1) * _PIECE, stop, _PIECE), stop]))
-
-
 def _window_of(folder: Path, name: MapFile, grid: Grid, georeference: Georeference, rasters: KeptRasters) -> TileWindow:
     path, pixels = folder / name, grid.pixels if name in _PER_PIXEL else 1
     tile = grid.tile_size / georeference.metres_per_unit
@@ -413,15 +400,6 @@ def _window_of(folder: Path, name: MapFile, grid: Grid, georeference: Georeferen
             f"{path} does not lie on the grid of tiles of {grid.tile_size:g} m that run.json states. {_AGAIN}"
         )
     return TileWindow(*whole)
-
-
-def _speeds(cost: Mapping[str, Any]) -> tuple[tuple[float, float], ...]:
-    """Return ``CostRule.speeds``."""
-    found = tuple((float(c_r), float(speed)) for speed, c_r in cost["speeds_mps_at_c_r_radpm"])
-    known = np.array(found)
-    if not (np.isfinite(known) & (known > 0.0)).all() or (np.diff(known[:, 0]) <= 0.0).any():
-        raise ValueError("speeds_mps_at_c_r_radpm")
-    return found
 
 
 def _planes(z: NDArray[np.float32]) -> NDArray[np.float64]:
