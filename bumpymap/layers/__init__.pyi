@@ -111,7 +111,6 @@ from .products import (
     REPORT_NAME as REPORT_NAME,
     MapFile as MapFile,
     OutputFolder as OutputFolder,
-    check_check_out as check_check_out,
     check_folder as check_folder,
     refuse_present as refuse_present,
     require_folder as require_folder,

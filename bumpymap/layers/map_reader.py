@@ -205,9 +205,13 @@ class MapReader:
         """
         return self._pixels(MapFile.OBSTACLE, window, np.full(shape or self._shape(window), NO_TILE, np.uint8))
 
-    def passage(self, window: TileWindow) -> NDArray[np.bool_]:
-        """Read where the middle of the vehicle can be, (rows * pixels, cols * pixels); nowhere outside the map."""
-        return self.passage_shown(window, self._shape(window))
+    def passage(self, window: TileWindow, shape: tuple[int, int] | None = None) -> NDArray[np.bool_]:
+        """Read where the middle of the vehicle can be, (rows * pixels, cols * pixels); nowhere outside the map.
+
+        In another ``shape`` a pixel, of an overview, is closed where one of four is.
+        """
+        out = self._pixels(MapFile.PASSAGE, window, np.full(shape or self._shape(window), NO_TILE, np.uint8))
+        return np.asarray((out > 0) & (out != NO_TILE))
 
     def zone_at(self, point: NDArray[np.float64]) -> int:
         """Return the zone that a point, (2,) easting and northing [m], lies in; 0: in none.
@@ -219,11 +223,6 @@ class MapReader:
         right, up = self.grid.pixel(point[:, None], tile)[:, 0]
         area = self._pixels(MapFile.PASSAGE, window, np.zeros((pixels, pixels), np.uint8))[pixels - 1 - up, right]
         return int(np.nan_to_num(self.values(window, ("zone",))["zone"][0, 0])) if area == 1 else 0
-
-    def passage_shown(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.bool_]:
-        """Read `passage` in ``shape`` pixels that span a window; one of an overview is closed where one of four is."""
-        out = self._pixels(MapFile.PASSAGE, window, np.full(shape, NO_TILE, np.uint8))
-        return np.asarray((out > 0) & (out != NO_TILE))
 
     def _shape(self, window: TileWindow) -> tuple[int, int]:
         return window.rows * self.grid.pixels, window.cols * self.grid.pixels

@@ -87,9 +87,9 @@ def test_passage_in_fewer_pixels(folder):
     whole = found.window
     around = TileWindow(whole.col - 2, whole.row - 1, whole.cols + 4, whole.rows + 3)
     fine = found.passage(around)
-    assert np.array_equal(found.passage_shown(around, fine.shape), fine)
+    assert np.array_equal(found.passage(around, fine.shape), fine)
     rows, cols = fine.shape[0] // 2, fine.shape[1] // 2
-    coarse = found.passage_shown(around, (rows, cols))
+    coarse = found.passage(around, (rows, cols))
     assert not (coarse & ~fine[: 2 * rows, : 2 * cols].reshape(rows, 2, cols, 2).any(axis=(1, 3))).any()
 
 
