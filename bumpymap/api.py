@@ -4,8 +4,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
-from functools import cached_property
+from contextlib import contextmanager, suppress
 from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
@@ -77,17 +76,19 @@ class Layers:
     """
 
     def __init__(self, folder: PathLike, *, in_memory: bool = False) -> None:
-        self._folder = Path(path_of_call("the folder of the layers", folder))
+        self.folder = Path(path_of_call("the folder of the layers", folder))
+        """The folder that holds the files."""
+        self.manifest = read_manifest(self.folder)
+        """The content of run.json: inputs, settings, versions, calibration, counts, files with their checksums."""
         self._in_memory = in_memory
-        self._manifest = read_manifest(self._folder)
         self._checked: set[str] = set()
         if in_memory:
             # Unlike weakref.finalize, this runs at the end of the workers of multiprocessing too; in no other process.
-            Finalize(self, shutil.rmtree, (self._folder, True), exitpriority=0)
+            Finalize(self, shutil.rmtree, (self.folder, True), exitpriority=0)
 
     def __fspath__(self) -> str:
         """Return the folder, so that the layers can be given wherever a path to them is asked for."""
-        return os.fspath(self._folder)
+        return os.fspath(self.folder)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the path of the folder."""
@@ -96,17 +97,7 @@ class Layers:
                 "these layers are in memory, and no other process can have them. Map the survey with `out='DIR'`: "
                 "layers in a folder are pickled as its path"
             )
-        return Layers, (self._folder.absolute(),)
-
-    @property
-    def folder(self) -> Path:
-        """The folder that holds the files."""
-        return self._folder
-
-    @property
-    def manifest(self) -> dict[str, Any]:
-        """The content of run.json: inputs, settings, versions, calibration, counts, files with their checksums."""
-        return self._manifest
+        return Layers, (self.folder.absolute(),)
 
     def dataset(self) -> "xarray.Dataset":
         """Open all rasters of every map with one pixel per tile as one dataset on the grid of tiles.
@@ -125,10 +116,11 @@ class Layers:
         found = [variable for name, bands in _TILE_RASTERS.items() for variable in self._variables(name, *bands)]
         for other in found[1:]:
             if not all(other[side].equals(found[0][side]) for side in "xy"):
-                raise BadInputError(f"the rasters in {self._folder} do not span the same tiles. Map the survey again")
+                raise BadInputError(f"the rasters in {self.folder} do not span the same tiles. Map the survey again")
         dataset = import_notebook("xarray").Dataset({variable.name: variable for variable in found})
-        title, rating = f"ride cost and roughness for {self._vehicle}", self.manifest["settings"].get("rating")
-        return dataset.assign_attrs(title=title, **self._about, rating=rating or "")
+        about, rating = self._about, self.manifest["settings"].get("rating")
+        title = f"ride cost and roughness for {about['vehicle']}"
+        return dataset.assign_attrs(title=title, **about, rating=rating or "")
 
     def heights(self) -> "xarray.DataArray":
         """Open heightmap.tif: the mean height of the points in each pixel, in metres; NaN in pixels without points.
@@ -168,7 +160,7 @@ class Layers:
         """
         with self._file(MapFile.TILES) as path:
             require_format(path)
-            require_tiles(path, self._manifest["counts"]["tiles"])
+            require_tiles(path, self.manifest["counts"]["tiles"])
             return import_notebook("geopandas").read_parquet(path)
 
     def regions(self) -> "geopandas.GeoDataFrame":
@@ -257,11 +249,10 @@ class Layers:
 
     def __repr__(self) -> str:
         counts, grid, crs = (self.manifest[name] for name in ("counts", "grid", "crs"))
-        where = "in memory" if self._in_memory else f"in {self._folder}"
+        where = "in memory" if self._in_memory else f"in {self.folder}"
         place = "local coordinates, no CRS" if crs is None else f"{crs['name']} ({crs['code'] or 'no code'})"
-        bounds = self._bounds
-        if bounds is not None:
-            west, south, east, north = bounds
+        with suppress(BadInputError), open_layer(self.folder / MapFile.CLASS) as file:
+            west, south, east, north = file.bounds
             place += f", x {west:,.2f} to {east:,.2f}, y {south:,.2f} to {north:,.2f}"
         classes = {**counts["by_class"], "unknown": counts["unknown"]}
         shares = zip(classes, shares_text(list(classes.values()), (len(classes) - 1,), 1), strict=True)
@@ -270,29 +261,16 @@ class Layers:
                 f"<Layers {where}>",
                 f"  place    {place}",
                 f"  size     {counts['tiles']:,} tiles of {grid['tile_size_m']:g} m, {counts['points']:,} points",
-                f"  vehicle  {self._vehicle}",
+                f"  vehicle  {self._about['vehicle']}",
                 f"  classes  {', '.join(f'{name} {share}' for name, share in shares)}",
             ]
         )
 
     @property
-    def _vehicle(self) -> str:
-        return str(self.manifest["calibration"]["vehicle"])
-
-    @property
     def _about(self) -> dict[str, str]:
         """Survey, vehicle and calibration, as attributes of arrays."""
-        calibration = self.manifest["calibration"]["id"]
-        return {"survey": self.manifest["survey"]["name"], "vehicle": self._vehicle, "calibration": calibration}
-
-    @cached_property
-    def _bounds(self) -> tuple[float, float, float, float] | None:
-        """West, south, east and north of the layers in units of their CRS; None if class.tif cannot be read."""
-        try:
-            with open_layer(self._folder / MapFile.CLASS) as file:
-                return tuple(file.bounds)
-        except BadInputError:
-            return None
+        survey, calibration = self.manifest["survey"]["name"], self.manifest["calibration"]
+        return {"survey": survey, "vehicle": calibration["vehicle"], "calibration": calibration["id"]}
 
     def _variables(self, name: MapFile, *bands: Band) -> "Iterator[xarray.DataArray]":
         """Yield the bands of a raster as named variables with units."""
@@ -303,8 +281,8 @@ class Layers:
 
                 values = file.values if self._in_memory else lazy_values(path, checked.driver, file.shape, file.dtype)
                 raster, nodata = file.copy(data=values), file.rio.nodata
-            if raster.rio.crs is None and self._manifest.get("crs"):  # one that GeoTIFF cannot hold
-                raster.rio.write_crs(self._manifest["crs"]["wkt"], inplace=True)
+            if raster.rio.crs is None and self.manifest["crs"]:  # one that GeoTIFF cannot hold
+                raster.rio.write_crs(self.manifest["crs"]["wkt"], inplace=True)
         if raster.sizes["band"] != len(bands):
             raise BadInputError(
                 f"{path} has {raster.sizes['band']} bands, and bumpymap now writes {len(bands)}. Map the survey again"
@@ -328,9 +306,9 @@ class Layers:
 
         So is one that is not the file that run.json lists; that is looked at once.
         """
-        path = self._folder / name
+        path = self.folder / name
         if name not in self._checked and not self._in_memory:
-            require_written(self._folder, self._manifest, (name,))
+            require_written(self.folder, self.manifest, (name,))
             self._checked.add(name)
         try:
             yield path

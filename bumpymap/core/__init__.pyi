@@ -41,12 +41,10 @@ from .crs import (
     horizontal_of as horizontal_of,
     linear_unit as linear_unit,
     parse_crs as parse_crs,
-    place_notes as place_notes,
     same_crs as same_crs,
     stated_crs as stated_crs,
     statement_from_wkt as statement_from_wkt,
     unit_name as unit_name,
-    utm_epsg as utm_epsg,
     vertical_of as vertical_of,
     with_vertical as with_vertical,
 )

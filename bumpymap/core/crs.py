@@ -304,9 +304,7 @@ def _vertical_crs(user: CRS | None, own: CRS | None) -> CRS | None:
     vertical = None if user is None else vertical_of(user)
     if own is None or vertical is not None:
         return vertical
-    ours, theirs = None if user is None else horizontal_of(user), horizontal_of(own)
-    agreed = user is None or (ours is not None and theirs is not None and same_crs(ours, theirs))
-    return vertical_of(own) if agreed else None
+    return vertical_of(own) if user is None or _same_horizontal(user, own) else None
 
 
 def _refuse_units(place: Place, crs: CRS, *, from_user: bool) -> None:

@@ -140,14 +140,8 @@ class Progress(Protocol):
         """Report that ``steps`` more steps are done."""
 
 
-class SilentProgress:
+class SilentProgress(Progress):
     """Ignores all progress."""
-
-    def start(self, stage: str, total: int | None) -> None:
-        """Do nothing."""
-
-    def advance(self, steps: int) -> None:
-        """Do nothing."""
 
 
 class Steps:

@@ -181,9 +181,6 @@ from .scan_folder import (
     sync_to_disk as sync_to_disk,
     write_scan_manifest as write_scan_manifest,
 )
-from .stac import (
-    write_collection as write_collection,
-)
 from .tile_table import (
     read_tiles as read_tiles,
     require_tiles as require_tiles,
