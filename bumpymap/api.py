@@ -195,7 +195,7 @@ class Layers:
         return map_reach(self, start, **settings)
 
     def export(self, out: PathLike, *, overwrite: bool = False, **settings: Any) -> "Export":
-        """Write the map in a format that robots read, as ``bumpymap export`` does.
+        """Write the map in a format that robots read, as ``bumpymap export`` does; errors: `bumpymap.views.export_map`.
 
         Parameters
         ----------
@@ -205,11 +205,6 @@ class Layers:
             Replace an earlier export in the same format.
         **settings
             Fields of `bumpymap.views.ExportSettings`: ``to`` (``nav2``, ``gridmap``, ``plan``), ...
-
-        Raises
-        ------
-        BadInputError, OutputError, UsageError
-            See `bumpymap.views.export_map`.
         """
         from bumpymap.layers import open_map
         from bumpymap.views import ExportSettings, export_map
@@ -219,7 +214,7 @@ class Layers:
         return export_map(open_map(self.folder), target, own, overwrite=overwrite)
 
     def report(self, out: PathLike | None = None, *, route: PathLike | None = None, overwrite: bool = False) -> Path:
-        """Write the page of this map, as ``bumpymap report`` does.
+        """Write the page of this map, as ``bumpymap report`` does; for errors see `bumpymap.views.write_report`.
 
         Parameters
         ----------
@@ -234,11 +229,6 @@ class Layers:
         -------
         Path
             The file.
-
-        Raises
-        ------
-        BadInputError, OutputError, UsageError
-            See `bumpymap.views.write_report`.
         """
         from bumpymap.views import write_report
 

@@ -166,9 +166,7 @@ def write_products(
         record["files"].append(describe_file(staged / MapFile.ITEM) | {"path": MapFile.ITEM})
         write_manifest(record, staged / MANIFEST_NAME)
     _log.info("wrote %d tiles to %s", summary.tiles, folder)
-    stems = {Path(name).stem for name in set(SOME_NAMES) - set(_some(table))}
-    names = [name for name in EVERY_FILE if Path(name).stem not in stems]
-    return [folder / name for name in names], summary
+    return [path for path in (folder / name for name in EVERY_FILE) if path.exists()], summary
 
 
 _Layers: TypeAlias = dict[tuple[str, ...], Callable[[], None]]

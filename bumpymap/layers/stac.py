@@ -180,13 +180,11 @@ def write_collection(path: Path, root: Path, folders: Sequence[str], title: str)
 def _extent(items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the box and the days of items: the whole Earth without a place, any time if no dates are known."""
     boxes = [item["bbox"] for item in items if "bbox" in item] or [[-180.0, -90.0, 180.0, 90.0]]
-    west, south, east, north = (
-        pick(side) for pick, side in zip((min, min, max, max), zip(*boxes, strict=True), strict=True)
-    )
+    bbox = [pick(side) for pick, side in zip((min, min, max, max), zip(*boxes, strict=True), strict=True)]
     dated = [item["properties"] for item in items if item["properties"]["bumpymap:dates_known"]]
     first = min((about["start_datetime"] for about in dated), default=_ANY_INTERVAL[0])
     last = max((about["end_datetime"] for about in dated), default=_ANY_INTERVAL[1])
-    return {"spatial": {"bbox": [[west, south, east, north]]}, "temporal": {"interval": [[first, last]]}}
+    return {"spatial": {"bbox": [bbox]}, "temporal": {"interval": [[first, last]]}}
 
 
 def _link(rel: str, href: str, title: str) -> dict[str, Any]:

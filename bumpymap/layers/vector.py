@@ -212,12 +212,9 @@ def write_features(
     `feature`; ``about``: further members of the collection. Raises OutputError: the file cannot be written.
     """
     geometries = [each["geometry"] for each in features if each["geometry"] is not None]
-    head = {"type": "FeatureCollection", "name": name, **place.members, **(about or {})}
-    collection = {
-        **head,
-        **({"bbox": shapely.total_bounds(geometries).tolist()} if geometries else {}),
-        "features": features,
-    }
+    collection = {"type": "FeatureCollection", "name": name, **place.members, **(about or {})}
+    collection |= {"bbox": shapely.total_bounds(geometries).tolist()} if geometries else {}
+    collection["features"] = features
     text = json.dumps(
         collection, ensure_ascii=False, allow_nan=False, separators=(",", ":"), default=shapely.geometry.mapping
     )
