@@ -30,24 +30,16 @@ from bumpymap.core import (
     stated_crs,
 )
 from bumpymap.layers.manifest import read_manifest
-from bumpymap.layers.map_files import KeptRasters, read_averaged, read_colours, require_written
+from bumpymap.layers.map_files import KeptRasters, read_colours, require_written
 from bumpymap.layers.products import MapFile
 from bumpytiles import Grid, TileWindow
 
 Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
+Number = TypeVar("Number", np.uint8, np.float32)
 
 _BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle", *SEEN_COLUMNS)
 
-_DTYPES = {
-    MapFile.BARRED: "uint8",
-    MapFile.ROUGHNESS: "float32",
-    MapFile.COST: "float32",
-    MapFile.HEIGHTMAP: "float32",
-    MapFile.OBSTACLE: "uint8",
-    MapFile.PASSAGE: "uint8",
-    MapFile.CLASS: "uint8",
-}
-_RASTERS = tuple(name for name in _DTYPES if name != MapFile.CLASS)
+_RASTERS = (*(MapFile.BARRED, MapFile.ROUGHNESS, MapFile.COST, MapFile.HEIGHTMAP, MapFile.OBSTACLE, MapFile.PASSAGE),)
 """Rasters of a route; a comparison of surveys reads the classes too, and a route headings.tif and photo.tif where they
 are there."""
 _PER_PIXEL = (MapFile.HEIGHTMAP, MapFile.OBSTACLE, MapFile.PASSAGE, MapFile.PHOTO)
@@ -122,18 +114,13 @@ class MapReader:
         float32, NaN where unknown. Each (rows, cols), north row first.
         """
         shape = (window.rows, window.cols)
-        out: dict[str, NDArray[Any]] = {"barred": np.full(shape, NO_TILE, np.uint8)}
-        out |= {"class_id": np.full(shape, NO_CLASS, np.uint8)} if classes else {}
-        out |= {band: np.full(shape, np.nan, np.float32) for band in bands}
-        part = common_window(window, self.window)
-        if part is not None:
-            place = _slices(window, part)
-            self._read_into([out["barred"][place]], MapFile.BARRED, part)
-            if classes:
-                self._read_into([out["class_id"][place]], MapFile.CLASS, part)
-            if bands:
-                self._read_into([out[band][place] for band in bands], MapFile.ROUGHNESS, part, bands)
-        barred = out["barred"]
+        barred = self._fill(MapFile.BARRED, window, np.full(shape, NO_TILE, np.uint8))
+        out: dict[str, NDArray[Any]] = {"barred": barred}
+        if classes:
+            out["class_id"] = self._fill(MapFile.CLASS, window, np.full(shape, NO_CLASS, np.uint8))
+        if bands:
+            numbers = np.full((len(bands), *shape), np.nan, np.float32)
+            out |= zip(bands, self._fill(MapFile.ROUGHNESS, window, numbers, bands), strict=True)
         if ((barred > max(Barred)) & (barred != NO_TILE)).any():
             raise BadInputError(f"{self.folder / MapFile.BARRED} holds unknown codes. Map the survey again")
         for band in set(bands) & {"c_r", "c_r_high", "p_fail"}:
@@ -149,10 +136,7 @@ class MapReader:
     def headings(self, window: TileWindow) -> NDArray[np.float32]:
         """Read C_r along each of ``AXES_DEG``, rad/m, float32 (rows, cols, 8); NaN where unknown."""
         out = np.full((window.rows, window.cols, len(HEADING_BANDS)), np.nan, np.float32)
-        part = common_window(window, self.window)
-        if part is not None:
-            inside = np.moveaxis(out[_slices(window, part)], -1, 0)
-            self._read_into(list(inside), MapFile.HEADINGS, part, [band.name for band in HEADING_BANDS])
+        self._fill(MapFile.HEADINGS, window, np.moveaxis(out, -1, 0), [band.name for band in HEADING_BANDS])
         if (out < 0.0).any():
             raise BadInputError(f"{self.folder / MapFile.HEADINGS} is damaged. {_AGAIN}")
         return out
@@ -186,7 +170,7 @@ class MapReader:
         ``window``: may extend beyond the map; ``shape``: rows and columns of the result, which spans the window.
         Returns heights in m, north row first; NaN where there is none. The map is placed to the nearest pixel.
         """
-        return self._pixels(MapFile.HEIGHTMAP, window, np.full(shape, np.nan, np.float32))
+        return self._fill(MapFile.HEIGHTMAP, window, np.full(shape, np.nan, np.float32))
 
     def photo(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32] | None:
         """Read the colours of the points from the overviews of photo.tif; None if the map has no photo.
@@ -196,21 +180,23 @@ class MapReader:
         """
         if MapFile.PHOTO not in _rasters(self.manifest):
             return None
-        return self._pixels(MapFile.PHOTO, window, np.full((*shape, 3), np.nan, np.float32))
+        out = np.full((*shape, 3), np.nan, np.float32)
+        self._fill(MapFile.PHOTO, window, np.moveaxis(out, -1, 0))
+        return out
 
     def objects(self, window: TileWindow, shape: tuple[int, int] | None = None) -> NDArray[np.uint8]:
         """Read the objects on the ground, uint8 (rows * pixels, cols * pixels), or in another ``shape``.
 
         0 free, 1 obstacle, 2 canopy, 3 unknown, 4 a step that it cannot cross; 255 outside the tiles with points.
         """
-        return self._pixels(MapFile.OBSTACLE, window, np.full(shape or self._shape(window), NO_TILE, np.uint8))
+        return self._fill(MapFile.OBSTACLE, window, np.full(shape or self._shape(window), NO_TILE, np.uint8))
 
     def passage(self, window: TileWindow, shape: tuple[int, int] | None = None) -> NDArray[np.bool_]:
         """Read where the middle of the vehicle can be, (rows * pixels, cols * pixels); nowhere outside the map.
 
         In another ``shape`` a pixel, of an overview, is closed where one of four is.
         """
-        out = self._pixels(MapFile.PASSAGE, window, np.full(shape or self._shape(window), NO_TILE, np.uint8))
+        out = self._fill(MapFile.PASSAGE, window, np.full(shape or self._shape(window), NO_TILE, np.uint8))
         return np.asarray((out > 0) & (out != NO_TILE))
 
     def zone_at(self, point: NDArray[np.float64]) -> int:
@@ -221,69 +207,45 @@ class MapReader:
         (col,), (row,) = tile = self.grid.index(point[:, None])
         window, pixels = TileWindow(int(col), int(row), 1, 1), self.grid.pixels
         right, up = self.grid.pixel(point[:, None], tile)[:, 0]
-        area = self._pixels(MapFile.PASSAGE, window, np.zeros((pixels, pixels), np.uint8))[pixels - 1 - up, right]
+        area = self._fill(MapFile.PASSAGE, window, np.zeros((pixels, pixels), np.uint8))[pixels - 1 - up, right]
         return int(np.nan_to_num(self.values(window, ("zone",))["zone"][0, 0])) if area == 1 else 0
 
     def _shape(self, window: TileWindow) -> tuple[int, int]:
         return window.rows * self.grid.pixels, window.cols * self.grid.pixels
 
-    def _pixels(self, raster: MapFile, window: TileWindow, out: NDArray[Any]) -> NDArray[Any]:
-        """Fill those of the pixels that span a window which lie on the map."""
-        rows, cols = out.shape[0] / window.rows, out.shape[1] / window.cols
-        part = common_window(window, self.window)
-        if part is not None:
-            place = tuple(
-                slice(*np.rint(np.array([tiles.start, tiles.stop]) * scale).astype(int).tolist())
-                for tiles, scale in zip(_slices(window, part), (rows, cols), strict=True)
-            )
-            shape = place[0].stop - place[0].start, place[1].stop - place[1].start
-            if min(shape) > 0:
-                out[place] = self._read_pixels(raster, part, shape)
-        return out
+    def _fill(
+        self, name: MapFile, window: TileWindow, out: NDArray[Number], bands: Sequence[str] = ()
+    ) -> NDArray[Number]:
+        """Read those of the pixels that span a window which lie on the map into an array, and return it.
 
-    def _read_into(
-        self, out: Sequence[NDArray[Any]], name: MapFile, window: TileWindow, bands: Sequence[str] = ()
-    ) -> None:
-        """Read a window that lies inside the map into arrays, which may be parts of larger ones.
-
-        ``out``: one for each band, (rows * p, cols * p), north row first; p is the number of pixels along a tile in
-        rasters of pixels, else 1; ``bands``: names of the bands; none: the first.
+        ``out``: ([bands,] rows, cols), north row first. With fewer pixels than the raster has they come from its
+        overviews: numbers as means. ``bands``: names of the bands; none: the first.
         """
-        top, left, rows, cols = self._place(name, window)
-        self._require_whole(name)
-        with self.rasters.opened(self.folder / name) as file:
-            if missing := [band for band in bands if band not in file.descriptions]:
-                raise BadInputError(f"{self.folder / name} has no band {missing[0]}. {_AGAIN}")
-            numbers = [file.descriptions.index(band) + 1 for band in bands] or [1]
-            found = file.read(numbers, window=((top, top + rows), (left, left + cols)))
-            for array, values in zip(out, found, strict=True):
-                array[:] = values
+        from rasterio.enums import Resampling
 
-    def _read_pixels(self, name: MapFile, window: TileWindow, shape: tuple[int, int]) -> NDArray[Any]:
-        """Read a window of the map of a raster with several pixels a tile, in ``shape`` pixels.
-
-        With fewer pixels than the file has they come from the overviews: numbers as means.
-        """
-        top, left, rows, cols = self._place(name, window)
-        if shape == (rows, cols) and name != MapFile.PHOTO:
-            whole = np.empty(shape, _DTYPES[name])
-            self._read_into([whole], name, window)
-            return whole
-        part = ((top, top + rows), (left, left + cols))
+        part, whole = common_window(window, self.window), out if out.ndim == 3 else out[None]
+        if part is None:
+            return out
+        scales = whole.shape[1] / window.rows, whole.shape[2] / window.cols
+        sides = zip(_slices(window, part), scales, strict=True)
+        rows, cols = (slice(round(at.start * scale), round(at.stop * scale)) for at, scale in sides)
+        inside = whole[:, rows, cols]
+        if not inside.size:
+            return out
+        own, scale = self.window, self.grid.pixels if name in _PER_PIXEL else 1
+        top, left = (own.row + own.rows - part.row - part.rows) * scale, (part.col - own.col) * scale
+        place = ((top, top + part.rows * scale), (left, left + part.cols * scale))
         self._require_whole(name)
         with self.rasters.opened(self.folder / name) as file:
             if name == MapFile.PHOTO:
-                return np.moveaxis(read_colours(file, shape, part), 0, -1)
-            if _DTYPES[name] == "float32":
-                return read_averaged(file, shape, part)
-            found: NDArray[Any] = file.read(1, window=part, out_shape=shape)
-            return found
-
-    def _place(self, name: MapFile, window: TileWindow) -> tuple[int, int, int, int]:
-        """Return top, left, rows and columns of a window in a raster, pixels."""
-        own, scale = self.window, self.grid.pixels if name in _PER_PIXEL else 1
-        top = own.row + own.rows - window.row - window.rows
-        return top * scale, (window.col - own.col) * scale, window.rows * scale, window.cols * scale
+                inside[:] = read_colours(file, inside.shape[1:], place)
+                return out
+            if missing := [band for band in bands if band not in file.descriptions]:
+                raise BadInputError(f"{self.folder / name} has no band {missing[0]}. {_AGAIN}")
+            numbers = [file.descriptions.index(band) + 1 for band in bands] or [1]
+            how = Resampling.average if out.dtype == np.float32 else Resampling.nearest
+            file.read(numbers, window=place, out=inside, resampling=how)
+        return out
 
     def _require_whole(self, name: MapFile) -> None:
         """Raise BadInputError if a raster whose checksum was not compared when the map was opened is damaged."""
