@@ -346,7 +346,7 @@ def assigned_settings(
         if not isinstance(place, dict):
             raise UsageError(f"{origin} gives {table[0]} both as a value and as a table")
         outer = known.get(table[0]) if table else None
-        inside = _fields_of((outer.kind,)) if outer and is_dataclass(outer.kind) else {} if table else known
+        inside = _fields_of((outer.kind,)) if outer and is_dataclass(outer.kind) else {} if table else known  # type: ignore[arg-type]
         place[name] = _assigned(value.strip(), inside[name].kind if name in inside else None)
     parser, arguments = _Parser(Path()), {}
     for name, each in known.items():
