@@ -63,8 +63,8 @@ _PASSAGE = Band("passage", "", "area of the tile in which the middle of the vehi
 class Layers:
     """The layers of a run, as returned by `map_survey` and `open`.
 
-    Only the manifest is read at once; the other files are read when a method needs them. It raises BadInputError if a
-    file is missing or damaged, and UsageError if it returns arrays or tables without the extra ``notebook``.
+    Only the manifest is read at once; the other files are read when a method needs them: it raises BadInputError if one
+    is missing or damaged. Arrays and tables need the extra ``notebook``; without it, their methods raise UsageError.
 
     Parameters
     ----------

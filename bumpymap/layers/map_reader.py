@@ -39,7 +39,7 @@ Number = TypeVar("Number", np.uint8, np.float32)
 
 _BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle", *SEEN_COLUMNS)
 
-_RASTERS = (*(MapFile.BARRED, MapFile.ROUGHNESS, MapFile.COST, MapFile.HEIGHTMAP, MapFile.OBSTACLE, MapFile.PASSAGE),)
+_RASTERS = (MapFile.BARRED, MapFile.ROUGHNESS, MapFile.COST, MapFile.HEIGHTMAP, MapFile.OBSTACLE, MapFile.PASSAGE)
 """Rasters of a route; a comparison of surveys reads the classes too, and a route headings.tif and photo.tif where they
 are there."""
 _PER_PIXEL = (MapFile.HEIGHTMAP, MapFile.OBSTACLE, MapFile.PASSAGE, MapFile.PHOTO)
