@@ -287,8 +287,6 @@ PLACE_SHAPE: dict[str, Any] = {
 """Shape of what manifests of maps and of comparisons say of their place and files."""
 _POSITIVE = Number(0, 1e9)
 """Any other number: far beyond what a map can hold, so that arithmetic stays finite."""
-SEEN_SHAPE: dict[str, Any] = dict.fromkeys(SEEN_NUMBERS, Nullable(_POSITIVE)) | {"seen": str}
-"""Shape of `SeenSizes.record`."""
 _INPUT = {"path": str, "bytes?": Nullable(COUNT), "points?": Nullable(COUNT), "checksum?": Nullable(str)}
 _SHAPE: dict[str, Any] = PLACE_SHAPE | {
     "survey": {"name": str, "checksum": Nullable(str), "dates": Nullable([str])},
@@ -322,7 +320,7 @@ _SHAPE: dict[str, Any] = PLACE_SHAPE | {
         "median_count": Nullable(_POSITIVE),
         "failing": COUNT,
         "objects": {"judged": COUNT, "layered": COUNT, "tall": COUNT},
-        "seen_sizes": SEEN_SHAPE,
+        "seen_sizes": dict.fromkeys(SEEN_NUMBERS, Nullable(_POSITIVE)) | {"seen": str},
         "zones": {
             "pieces": COUNT,
             "largest_tiles": COUNT,

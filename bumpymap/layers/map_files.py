@@ -55,28 +55,23 @@ _CLOSED = {
     "GDAL_PAM_ENABLED": "NO",  # no .aux.xml, which may name other files
     "CPL_VSIL_CURL_ALLOWED_FILENAME": "-",  # no network
 }
-_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_STARTS = {
-    ".tif": _TIFF,
-    ".fgb": (b"fgb\3",),
-    ".parquet": (b"PAR1",),
-    ".shp": (b"\0\0\x27\x0a",),
-    ".gpkg": (b"SQLite format 3\0",),
-}
-
-
-def gdal_text(error: Exception) -> str:
-    """Return why GDAL cannot read a raster; what rasterio raises may only say that this is its cause."""
-    return str(error.__cause__ or error).rstrip(".")
+_STARTS = {".fgb": b"fgb\3", ".parquet": b"PAR1", ".shp": b"\0\0\x27\x0a", ".gpkg": b"SQLite format 3\0"}
 
 
 @contextmanager
-def closed_gdal(**options: Any) -> Iterator[None]:
-    """Let GDAL read a raster alone: no files beside it, no network, and no other thread of bumpymap, see `_cog`."""
+def reading_raster(path: Path, remedy: str = _AGAIN, **options: Any) -> Iterator[None]:
+    """Let GDAL read a raster alone: no files beside it, no network, and no other thread of bumpymap, see `_cog`.
+
+    Its errors, and names that are no text, become BadInputErrors.
+    """
     import rasterio
 
-    with raster_lock(), rasterio.Env(**_CLOSED, **options):
-        yield
+    try:
+        with raster_lock(), rasterio.Env(**_CLOSED, **options):
+            yield
+    except (OSError, UnicodeDecodeError, rasterio.errors.RasterioError) as error:
+        why = str(error.__cause__ or error).rstrip(".")  # the error itself may only say that it has a cause
+        raise BadInputError(f"cannot read {path}: {why}. {remedy}") from error
 
 
 @contextmanager
@@ -87,24 +82,12 @@ def open_layer(path: Path, *, remedy: str = _AGAIN, **options: Any) -> "Iterator
     BadInputError: it is missing, damaged or of another format; it leads to other files, or the names in it are no text.
     So is each error of GDAL in the body of the ``with``.
     """
-    with _reading(path, options, remedy), _opened(path, remedy) as file:
+    with reading_raster(path, remedy, **options), _opened(path, remedy) as file:
         yield file
 
 
-@contextmanager
-def _reading(path: Path, options: Mapping[str, Any], remedy: str = _AGAIN) -> Iterator[None]:
-    """Read a raster inside `closed_gdal`; errors of GDAL and names that are no text become BadInputErrors."""
-    from rasterio.errors import RasterioError
-
-    try:
-        with closed_gdal(**options):
-            yield
-    except (UnicodeDecodeError, RasterioError) as error:
-        raise BadInputError(f"cannot read {path}: {gdal_text(error)}. {remedy}") from error
-
-
 def _opened(path: Path, remedy: str = _AGAIN) -> "DatasetReader":
-    """Open a raster inside `_reading`; for errors see `open_layer`."""
+    """Open a raster inside `reading_raster`; for errors see `open_layer`."""
     import rasterio
 
     file = rasterio.open(path, driver="GTiff")
@@ -150,7 +133,7 @@ class KeptRasters:
             with open_layer(path, **_KEPT) as file:
                 yield file
             return
-        with raster_lock(), _reading(path, _KEPT):
+        with raster_lock(), reading_raster(path, **_KEPT):
             if path not in self._open:
                 self._open[path] = _opened(path)
             try:
@@ -165,13 +148,12 @@ class KeptRasters:
 
 def require_format(path: Path) -> None:
     """Raise BadInputError if a file does not begin as the format does that its name states."""
-    allowed = _STARTS[path.suffix.lower()]
     try:
         with open_regular(path) as file:
             start = file.read(16)
     except OSError as error:
         raise BadInputError(f"cannot read {path}: {error.strerror or error}") from error
-    if not start.startswith(allowed):
+    if not start.startswith(_STARTS[path.suffix.lower()]):
         raise BadInputError(
             f"cannot read {path}: it does not begin as such a file does. It is damaged, or of another format"
         )
