@@ -140,8 +140,14 @@ class Progress(Protocol):
         """Report that ``steps`` more steps are done."""
 
 
-class SilentProgress(Progress):
+class SilentProgress:
     """Ignores all progress."""
+
+    def start(self, stage: str, total: int | None) -> None:
+        """Do nothing."""
+
+    def advance(self, steps: int) -> None:
+        """Do nothing."""
 
 
 class Steps:
