@@ -64,8 +64,8 @@ def wgs84_transformer(placement: Placement) -> Transformer:
         raise _outside(placement)
     if np.ptp(degrees[0]) > 180.0:
         raise BadInputError(
-            "the survey lies on both sides of the antimeridian, where longitudes jump from 180 to -180 degrees, and "
-            "cost.geojson cannot. Pass `local=True` to write it in the survey's own coordinates"
+            "the survey lies on both sides of the antimeridian, where longitudes jump from 180 to -180 degrees. Pass "
+            "`local=True` to write cost.geojson in the survey's own coordinates"
         )
     return transformer
 
