@@ -4,8 +4,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
-from functools import cached_property
+from contextlib import contextmanager, suppress
 from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
@@ -48,27 +47,24 @@ if TYPE_CHECKING:
 
     Point = str | tuple[float, float]
 
-_CLASSES = Band("class", "", "roughness class, 0 (smooth) to 3 (very rough)")
-_REASONS = Band("reason", "", "why a tile has no class")
-_COST = Band("cost", "", "factor on distance for a planner; NaN where the tile is not passable")
-_SPEED = Band("speed", "m/s", "highest speed within the comfort limits; 0 where the tile is not passable")
-_BARRED = Band("barred", "", "why the tile is not passable")
-_HEIGHT = Band("height", "m", "mean height of the points in the pixel")
-_OBSTACLE = Band("objects", "", "standing objects")
-_PASSAGE = Band("passage", "", "area of the tile in which the middle of the vehicle can move; 0 where it cannot be")
-_FLAGS = {
-    "class": CLASS_NAMES,
-    "reason": tuple(REASON_TEXT.values()),
-    "barred": tuple(BARRED_TEXT.values()),
-    "objects": OBJECT_NAMES,
+_TILE_RASTERS: dict[MapFile, tuple[Band, ...]] = {
+    MapFile.ROUGHNESS: BANDS,
+    MapFile.CLASS: (Band("class", "", "roughness class, 0 (smooth) to 3 (very rough)", CLASS_NAMES),),
+    MapFile.REASON: (Band("reason", "", "why a tile has no class", tuple(REASON_TEXT.values())),),
+    MapFile.COST: (Band("cost", "", "factor on distance for a planner; NaN where the tile is not passable"),),
+    MapFile.SPEED: (Band("speed", "m/s", "highest speed within the comfort limits; 0 where the tile is not passable"),),
+    MapFile.BARRED: (Band("barred", "", "why the tile is not passable", tuple(BARRED_TEXT.values())),),
 }
+_HEIGHT = Band("height", "m", "mean height of the points in the pixel")
+_OBJECTS = Band("objects", "", "standing objects", OBJECT_NAMES)
+_PASSAGE = Band("passage", "", "area of the tile in which the middle of the vehicle can move; 0 where it cannot be")
 
 
 class Layers:
     """The layers of a run, as returned by `map_survey` and `open`.
 
-    Only the manifest is read at once; the other files are read when a method needs them. ``dataset``, ``heights``,
-    ``tiles`` and ``regions`` need the extra ``notebook``.
+    Only the manifest is read at once; the other files are read when a method needs them: it raises BadInputError if one
+    is missing or damaged. Arrays and tables need the extra ``notebook``; without it, their methods raise UsageError.
 
     Parameters
     ----------
@@ -80,17 +76,19 @@ class Layers:
     """
 
     def __init__(self, folder: PathLike, *, in_memory: bool = False) -> None:
-        self._folder = Path(path_of_call("the folder of the layers", folder))
+        self.folder = Path(path_of_call("the folder of the layers", folder))
+        """The folder that holds the files."""
+        self.manifest = read_manifest(self.folder)
+        """The content of run.json: inputs, settings, versions, calibration, counts, files with their checksums."""
         self._in_memory = in_memory
-        self._manifest = read_manifest(self._folder)
         self._checked: set[str] = set()
         if in_memory:
             # Unlike weakref.finalize, this runs at the end of the workers of multiprocessing too; in no other process.
-            Finalize(self, shutil.rmtree, (self._folder, True), exitpriority=0)
+            Finalize(self, shutil.rmtree, (self.folder, True), exitpriority=0)
 
     def __fspath__(self) -> str:
         """Return the folder, so that the layers can be given wherever a path to them is asked for."""
-        return os.fspath(self._folder)
+        return os.fspath(self.folder)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the path of the folder."""
@@ -99,17 +97,7 @@ class Layers:
                 "these layers are in memory, and no other process can have them. Map the survey with `out='DIR'`: "
                 "layers in a folder are pickled as its path"
             )
-        return Layers, (self._folder.absolute(),)
-
-    @property
-    def folder(self) -> Path:
-        """The folder that holds the files."""
-        return self._folder
-
-    @property
-    def manifest(self) -> dict[str, Any]:
-        """The content of run.json: inputs, settings, versions, calibration, counts, files with their checksums."""
-        return self._manifest
+        return Layers, (self.folder.absolute(),)
 
     def dataset(self) -> "xarray.Dataset":
         """Open all rasters of every map with one pixel per tile as one dataset on the grid of tiles.
@@ -118,35 +106,21 @@ class Layers:
         -------
         xarray.Dataset
             Dimensions ``y`` (north first) and ``x``, at tile centres. The bands of roughness.tif (``c_r``, ``slope``,
-            ...), ``cost`` and ``speed`` (not of earlier versions) are float32 variables, NaN where unknown; ``class``
+            ...), ``cost`` and ``speed`` are float32 variables, NaN where unknown; ``class``
             (255 where unknown), ``reason`` (0 where there is a class) and ``barred`` (0 where passable) are uint8, 255
             outside the tiles with points.
             Each has the attributes ``units`` and ``long_name``, the dataset ``survey``, ``vehicle``, ``calibration``;
             ``to_netcdf`` needs no other library. CRS and transform are in ``spatial_ref``. Values are
             read from the files when they are used; those of a run in memory are loaded already.
-
-        Raises
-        ------
-        UsageError
-            The extra ``notebook`` is not installed.
-        BadInputError
-            A file of the run is missing or damaged.
         """
-        listed = {file["path"] for file in self.manifest["files"]}
-        found = [
-            *self._variables(MapFile.ROUGHNESS, BANDS),
-            *self._variables(MapFile.CLASS, (_CLASSES,)),
-            *self._variables(MapFile.REASON, (_REASONS,)),
-            *self._variables(MapFile.COST, (_COST,)),
-            *(self._variables(MapFile.SPEED, (_SPEED,)) if MapFile.SPEED in listed else ()),
-            *self._variables(MapFile.BARRED, (_BARRED,)),
-        ]
+        found = [variable for name, bands in _TILE_RASTERS.items() for variable in self._variables(name, *bands)]
         for other in found[1:]:
             if not all(other[side].equals(found[0][side]) for side in "xy"):
-                raise BadInputError(f"the rasters in {self._folder} do not span the same tiles. Map the survey again")
+                raise BadInputError(f"the rasters in {self.folder} do not span the same tiles. Map the survey again")
         dataset = import_notebook("xarray").Dataset({variable.name: variable for variable in found})
-        title, rating = f"ride cost and roughness for {self._vehicle}", self.manifest.get("settings", {}).get("rating")
-        return dataset.assign_attrs(title=title, **self._about, rating=rating or "")
+        about, rating = self._about, self.manifest["settings"].get("rating")
+        title = f"ride cost and roughness for {about['vehicle']}"
+        return dataset.assign_attrs(title=title, **about, rating=rating or "")
 
     def heights(self) -> "xarray.DataArray":
         """Open heightmap.tif: the mean height of the points in each pixel, in metres; NaN in pixels without points.
@@ -155,15 +129,8 @@ class Layers:
         -------
         xarray.DataArray
             Dimensions ``y`` (north first) and ``x``, at pixel centres. Values are read when they are used.
-
-        Raises
-        ------
-        UsageError
-            The extra ``notebook`` is not installed.
-        BadInputError
-            heightmap.tif is missing or damaged.
         """
-        return next(self._variables(MapFile.HEIGHTMAP, (_HEIGHT,))).assign_attrs(self._about)
+        return next(self._variables(MapFile.HEIGHTMAP, _HEIGHT)).assign_attrs(self._about)
 
     def obstacles(self) -> "xarray.DataArray":
         """Open obstacle.tif: 0 free, 1 obstacle, 2 canopy, 3 unknown; 255 outside the tiles with points.
@@ -172,23 +139,16 @@ class Layers:
         -------
         xarray.DataArray
             Dimensions ``y`` (north first) and ``x``, the pixels of `heights`. Values are read when they are used.
-
-        Raises
-        ------
-        UsageError
-            The extra ``notebook`` is not installed.
-        BadInputError
-            obstacle.tif is missing or damaged.
         """
-        return next(self._variables(MapFile.OBSTACLE, (_OBSTACLE,))).assign_attrs(self._about)
+        return next(self._variables(MapFile.OBSTACLE, _OBJECTS)).assign_attrs(self._about)
 
     def passage(self) -> "xarray.DataArray":
         """Open passage.tif: 0 closed, else the number of the area of its tile; 255 outside the tiles with points.
 
         The areas are the nodes of a graph, and where pixels of two of them touch across the border of their tiles is an
-        arc. See `obstacles` for the dimensions and errors.
+        arc. See `obstacles` for the dimensions.
         """
-        return next(self._variables(MapFile.PASSAGE, (_PASSAGE,))).assign_attrs(self._about)
+        return next(self._variables(MapFile.PASSAGE, _PASSAGE)).assign_attrs(self._about)
 
     def tiles(self) -> "geopandas.GeoDataFrame":
         """Read tiles.parquet.
@@ -197,17 +157,10 @@ class Layers:
         -------
         geopandas.GeoDataFrame
             One row for each tile with points; the geometry is the square of the tile, in the survey's CRS.
-
-        Raises
-        ------
-        UsageError
-            The extra ``notebook`` is not installed.
-        BadInputError
-            The file is missing or damaged.
         """
         with self._file(MapFile.TILES) as path:
             require_format(path)
-            require_tiles(path, self._manifest["counts"]["tiles"])
+            require_tiles(path, self.manifest["counts"]["tiles"])
             return import_notebook("geopandas").read_parquet(path)
 
     def regions(self) -> "geopandas.GeoDataFrame":
@@ -218,13 +171,6 @@ class Layers:
         geopandas.GeoDataFrame
             One row for each region, a group of adjacent tiles of one class; the geometry is its outline, in the
             survey's CRS.
-
-        Raises
-        ------
-        UsageError
-            The extra ``notebook`` is not installed.
-        BadInputError
-            The file is missing or damaged.
         """
         with self._file(MapFile.REGIONS_IN_CRS) as path:
             (crs, geometry, columns), geopandas = read_features(path), import_notebook("geopandas")
@@ -249,7 +195,7 @@ class Layers:
         return map_reach(self, start, **settings)
 
     def export(self, out: PathLike, *, overwrite: bool = False, **settings: Any) -> "Export":
-        """Write the map in a format that robots read, as ``bumpymap export`` does.
+        """Write the map in a format that robots read, as ``bumpymap export`` does; errors: `bumpymap.views.export_map`.
 
         Parameters
         ----------
@@ -259,11 +205,6 @@ class Layers:
             Replace an earlier export in the same format.
         **settings
             Fields of `bumpymap.views.ExportSettings`: ``to`` (``nav2``, ``gridmap``, ``plan``), ...
-
-        Raises
-        ------
-        BadInputError, OutputError, UsageError
-            See `bumpymap.views.export_map`.
         """
         from bumpymap.layers import open_map
         from bumpymap.views import ExportSettings, export_map
@@ -273,7 +214,7 @@ class Layers:
         return export_map(open_map(self.folder), target, own, overwrite=overwrite)
 
     def report(self, out: PathLike | None = None, *, route: PathLike | None = None, overwrite: bool = False) -> Path:
-        """Write the page of this map, as ``bumpymap report`` does.
+        """Write the page of this map, as ``bumpymap report`` does; for errors see `bumpymap.views.write_report`.
 
         Parameters
         ----------
@@ -288,11 +229,6 @@ class Layers:
         -------
         Path
             The file.
-
-        Raises
-        ------
-        BadInputError, OutputError, UsageError
-            See `bumpymap.views.write_report`.
         """
         from bumpymap.views import write_report
 
@@ -303,11 +239,10 @@ class Layers:
 
     def __repr__(self) -> str:
         counts, grid, crs = (self.manifest[name] for name in ("counts", "grid", "crs"))
-        where = "in memory" if self._in_memory else f"in {self._folder}"
+        where = "in memory" if self._in_memory else f"in {self.folder}"
         place = "local coordinates, no CRS" if crs is None else f"{crs['name']} ({crs['code'] or 'no code'})"
-        bounds = self._bounds
-        if bounds is not None:
-            west, south, east, north = bounds
+        with suppress(BadInputError), open_layer(self.folder / MapFile.CLASS) as file:
+            west, south, east, north = file.bounds
             place += f", x {west:,.2f} to {east:,.2f}, y {south:,.2f} to {north:,.2f}"
         classes = {**counts["by_class"], "unknown": counts["unknown"]}
         shares = zip(classes, shares_text(list(classes.values()), (len(classes) - 1,), 1), strict=True)
@@ -316,35 +251,18 @@ class Layers:
                 f"<Layers {where}>",
                 f"  place    {place}",
                 f"  size     {counts['tiles']:,} tiles of {grid['tile_size_m']:g} m, {counts['points']:,} points",
-                f"  vehicle  {self._vehicle}",
+                f"  vehicle  {self._about['vehicle']}",
                 f"  classes  {', '.join(f'{name} {share}' for name, share in shares)}",
             ]
         )
 
     @property
-    def _vehicle(self) -> str:
-        return str(self.manifest.get("calibration", {}).get("vehicle", "an unknown vehicle"))
-
-    @property
     def _about(self) -> dict[str, str]:
         """Survey, vehicle and calibration, as attributes of arrays."""
-        survey, calibration = (self.manifest.get(key) or {} for key in ("survey", "calibration"))
-        return {
-            "survey": str(survey.get("name") or ""),
-            "vehicle": self._vehicle,
-            "calibration": str(calibration.get("id") or ""),
-        }
+        survey, calibration = self.manifest["survey"]["name"], self.manifest["calibration"]
+        return {"survey": survey, "vehicle": calibration["vehicle"], "calibration": calibration["id"]}
 
-    @cached_property
-    def _bounds(self) -> tuple[float, float, float, float] | None:
-        """West, south, east and north of the layers in units of their CRS; None if class.tif cannot be read."""
-        try:
-            with open_layer(self._folder / MapFile.CLASS) as file:
-                return tuple(file.bounds)
-        except BadInputError:
-            return None
-
-    def _variables(self, name: MapFile, bands: tuple[Band, ...]) -> "Iterator[xarray.DataArray]":
+    def _variables(self, name: MapFile, *bands: Band) -> "Iterator[xarray.DataArray]":
         """Yield the bands of a raster as named variables with units."""
         with self._file(name) as path:
             rioxarray = import_notebook("rioxarray")
@@ -353,8 +271,8 @@ class Layers:
 
                 values = file.values if self._in_memory else lazy_values(path, checked.driver, file.shape, file.dtype)
                 raster, nodata = file.copy(data=values), file.rio.nodata
-            if raster.rio.crs is None and self._manifest.get("crs"):  # one that GeoTIFF cannot hold
-                raster.rio.write_crs(self._manifest["crs"]["wkt"], inplace=True)
+            if raster.rio.crs is None and self.manifest["crs"]:  # one that GeoTIFF cannot hold
+                raster.rio.write_crs(self.manifest["crs"]["wkt"], inplace=True)
         if raster.sizes["band"] != len(bands):
             raise BadInputError(
                 f"{path} has {raster.sizes['band']} bands, and bumpymap now writes {len(bands)}. Map the survey again"
@@ -362,11 +280,10 @@ class Layers:
         for number, band in enumerate(bands):
             variable = raster.isel(band=number, drop=True).rename(band.name)
             variable.attrs = {"long_name": band.description, "units": band.unit or "1"}
-            if band.name in _FLAGS:
-                names = _FLAGS[band.name]
+            if band.categories:
                 variable.attrs |= {
-                    "flag_values": list(range(len(names))),
-                    "flag_meanings": " ".join(text.replace(" ", "_") for text in names),
+                    "flag_values": list(range(len(band.categories))),
+                    "flag_meanings": " ".join(text.replace(" ", "_") for text in band.categories),
                 }
             if variable.dtype == "uint8":  # netCDF 3, which is all that SciPy writes, has no such type
                 variable.encoding["dtype"], nodata = "int16", nodata.astype("int16")
@@ -379,12 +296,10 @@ class Layers:
 
         So is one that is not the file that run.json lists; that is looked at once.
         """
-        path = self._folder / name
+        path = self.folder / name
         if name not in self._checked and not self._in_memory:
-            require_written(self._folder, self._manifest, (name,))
+            require_written(self.folder, self.manifest, (name,))
             self._checked.add(name)
-        if not path.exists():
-            raise BadInputError(f"{path} is missing: it was not written, or was removed since. Map the survey again")
         try:
             yield path
         except BumpymapError:

@@ -44,7 +44,6 @@ from bumpymap.layers import (
     MANIFEST_NAME,
     MapOffset,
     MapReader,
-    check_check_out,
     check_entries,
     class_limits,
     describe_file,
@@ -273,7 +272,7 @@ def run_check(config: CheckConfig, progress: Progress | None = None) -> tuple[Ch
     site = None if config.layers is None else open_map(config.layers)
     _usable(((place, partial(drive_files, place)) for place in config.drives), {})
     if config.out is not None:
-        check_check_out(config.out, overwrite=config.overwrite)
+        CHECK_FILES.check(config.out, overwrite=config.overwrite)
     skipped: dict[str, str] = {}
 
     def read(place: str) -> tuple[DriveLog, MetrePlaces | None]:
@@ -458,10 +457,10 @@ def write_check(
     are removed: without positions on a map there is nothing for GIS. Except for check.json no file depends on the time
     or on folder names. ``result``: with at least one drive; ``ground``: the map, None without one; ``manifest``: the
     run's own entries for check.json, such as settings. Returns what was written. Raises UsageError, OutputError: see
-    `check_check_out`, or a file cannot be written; BadInputError: the layers cannot be read, or positions have no
+    `OutputFolder.check`, or a file cannot be written; BadInputError: the layers cannot be read, or positions have no
     longitude and latitude.
     """
-    check_check_out(out, overwrite=overwrite)
+    CHECK_FILES.check(out, overwrite=overwrite)
     placement = None if ground is None else place_stretches(result.stretches, ground)
     checked: dict[str, Any] = {}
     if ground is not None:

@@ -41,13 +41,10 @@ from .crs import (
     horizontal_of as horizontal_of,
     linear_unit as linear_unit,
     parse_crs as parse_crs,
-    place_notes as place_notes,
-    reproject_command as reproject_command,
     same_crs as same_crs,
     stated_crs as stated_crs,
     statement_from_wkt as statement_from_wkt,
     unit_name as unit_name,
-    utm_epsg as utm_epsg,
     vertical_of as vertical_of,
     with_vertical as with_vertical,
 )
@@ -152,7 +149,6 @@ from .processes import (
     trim_shared as trim_shared,
 )
 from .route_types import (
-    TAN as TAN,
     Resolution as Resolution,
     RoadFigures as RoadFigures,
     Route as Route,
@@ -210,14 +206,11 @@ from .scan_types import (
     sector_bounds as sector_bounds,
 )
 from .seen_sizes import (
-    MOST_STEP as MOST_STEP,
     OBSTACLE_SHARE as OBSTACLE_SHARE,
     SEEN_NUMBERS as SEEN_NUMBERS,
     SeenSizes as SeenSizes,
     chance_text as chance_text,
     density_for as density_for,
-    points_needed as points_needed,
-    size_text as size_text,
     smallest_object as smallest_object,
     smallest_step as smallest_step,
 )
@@ -266,8 +259,6 @@ from .types import (
     HOLE_POINTS as HOLE_POINTS,
     HOLE_SHARE as HOLE_SHARE,
     LONE as LONE,
-    LOW_SOLID as LOW_SOLID,
-    MAYBE_SOLID as MAYBE_SOLID,
     NO_CLASS as NO_CLASS,
     NO_TILE as NO_TILE,
     OBJECT_NAMES as OBJECT_NAMES,
@@ -285,7 +276,6 @@ from .types import (
     SEEN_COLUMNS as SEEN_COLUMNS,
     SEEN_PER_M2 as SEEN_PER_M2,
     SIDES as SIDES,
-    SOLID as SOLID,
     SPANNED_POINTS as SPANNED_POINTS,
     STEEP as STEEP,
     STEP_EDGE as STEP_EDGE,

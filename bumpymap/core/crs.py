@@ -307,9 +307,7 @@ def _vertical_crs(user: CRS | None, own: CRS | None) -> CRS | None:
     vertical = None if user is None else vertical_of(user)
     if own is None or vertical is not None:
         return vertical
-    ours, theirs = None if user is None else horizontal_of(user), horizontal_of(own)
-    agreed = user is None or (ours is not None and theirs is not None and same_crs(ours, theirs))
-    return vertical_of(own) if agreed else None
+    return vertical_of(own) if user is None or _same_horizontal(user, own) else None
 
 
 def _refuse_units(place: Place, crs: CRS, *, from_user: bool) -> None:
@@ -450,19 +448,15 @@ def place_notes(place: Place, crs: CRS) -> list[str]:
         ) from error
     outside = _degrees_outside(crs, longitude, latitude)
     if outside > _NEAR_DEGREES:
-        note = (
-            f"its middle, {x:.10g}, {y:.10g}, lies {outside:.1f} degrees outside the area of use of "
-            f"{describe_crs(crs)}. {_other_reading(crs, proj, x, y)}If the CRS is wrong, give the right one with "
-            "`force_crs='EPSG:CODE'`"
+        where = f"its middle, {x:.10g}, {y:.10g}, lies {outside:.1f} degrees outside the area of use of"
+        remedy = (
+            f"{_other_reading(crs, proj, x, y)}If the CRS is wrong, give the right one with `force_crs='EPSG:CODE'`"
         )
-        return [note]
+        return [f"{where} {describe_crs(crs)}. {remedy}"]
     if abs(scale - 1) <= _SCALE_TOLERANCE:
         return []
-    note = (
-        f"one metre of {crs.name} is {1 / scale:.3f} m on the ground here: tiles are that much smaller and slopes "
-        "steeper than they seem. Reproject to the local UTM zone for a true map"
-    )
-    return [note]
+    here = f"one metre of {crs.name} is {1 / scale:.3f} m on the ground here: tiles are that much smaller and slopes"
+    return [f"{here} steeper than they seem. Reproject to the local UTM zone for a true map"]
 
 
 _NEAR_DEGREES = 0.5

@@ -61,18 +61,9 @@ def shares_text(
 ) -> list[str]:
     """Return the shares of all parts of a whole, rounded so that together they make 100 %.
 
-    Parameters
-    ----------
-    counts : sequence of float
-        Size of each part; together they are the whole.
-    alone : collection of int
-        Parts whose share is shown elsewhere too: they are rounded as `share_text` does.
-    percent : str
-        Follows each number.
-
-    Notes
-    -----
-    The other parts are rounded down, and those with the largest remainders get what is left.
+    ``counts``: size of each part; ``alone``: parts whose share is shown elsewhere too: they are rounded as `share_text`
+    does. The others are rounded down, and those with the largest remainders get what is left. ``percent`` follows each
+    number.
     """
     total = sum(counts)
     if not total:

@@ -17,7 +17,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
-from urllib.parse import unquote, urlsplit
 from uuid import uuid4
 
 from bumpymap.core.errors import OutputError, escape_controls, write_remedy
@@ -342,21 +341,8 @@ def _sync_folder(folder: Path) -> None:
 
 
 def install_command(extra: str) -> str:
-    """Return the command that adds an extra of this package to this environment, from where the package came."""
-    from importlib.metadata import PackageNotFoundError, distribution
-    from importlib.util import find_spec
-
-    origin: dict[str, Any] = {}
-    with suppress(PackageNotFoundError, ValueError):
-        origin = parse_json(distribution("bumpymap").read_text("direct_url.json") or "{}")
-    url = urlsplit(origin.get("url", ""))
-    folder = unquote(url.path) if url.scheme == "file" else ""
-    known = bool(folder) and Path(folder).exists()
-    python = shlex.quote(sys.executable)
-    pip = f"{python} -m pip install" if find_spec("pip") else f"python3 -m pip --python {python} install"
-    editable = " -e" if known and origin.get("dir_info", {}).get("editable") else ""
-    source = shlex.quote(f"{folder if known else '.'}[{extra}]")
-    return f"{pip}{editable} {source}{'' if known else ' in the folder of the repository'}"
+    """Return the command that adds an extra of this package to this environment."""
+    return f"{shlex.quote(sys.executable)} -m pip install '.[{extra}]' in the folder of the repository"
 
 
 _FORMULA = tuple("=+-@\uff1d\uff0b\uff0d\uff20")

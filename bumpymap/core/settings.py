@@ -336,7 +336,7 @@ def assigned_settings(
     set. Raises UsageError: not of this form, an unknown key, a value of the wrong type or out of range; the message
     lists all faults.
     """
-    record: dict[str, Any] = {}
+    known, record = _fields_of(owners), dict[str, Any]()
     for text in assignments:
         key, equals, value = text.partition("=")
         *table, name = key.strip().split(".")
@@ -345,15 +345,12 @@ def assigned_settings(
         place = record.setdefault(table[0], {}) if table else record
         if not isinstance(place, dict):
             raise UsageError(f"{origin} gives {table[0]} both as a value and as a table")
-        place[name] = value_of_text(value.strip())
-        if isinstance(place[name], list) and _is_text(owners, *table, name):
-            place[name] = value.strip()  # its commas part nothing
-    known = _fields_of(owners)
+        outer = known.get(table[0]) if table else None
+        inside = _fields_of((outer.kind,)) if outer and is_dataclass(outer.kind) else {} if table else known  # type: ignore[arg-type]
+        place[name] = value_of_text(value.strip(), inside[name].kind if name in inside else None)
     parser, arguments = _Parser(Path()), {}
     for name, each in known.items():
-        if name in record and get_origin(each.kind) is tuple and not isinstance(record[name], list):
-            record[name] = [record[name]]
-        elif isinstance(record.get(name), dict) and is_dataclass(each.kind):
+        if isinstance(record.get(name), dict) and is_dataclass(each.kind):
             own = parser.table(record.pop(name), (each.kind,), name, complete=False)  # type: ignore[arg-type]
             base = before.get(name) or each.default
             arguments[name] = base if parser.faults else replace(base, **own)
@@ -362,28 +359,19 @@ def assigned_settings(
     return arguments
 
 
-def _is_text(owners: tuple[type, ...], *names: str) -> bool:
-    """Return whether a setting, of a table or of none, is a text."""
-    for name in names:
-        each = _fields_of(owners).get(name)
-        if each is None:
-            return False
-        owners = (each.kind,) if is_dataclass(each.kind) else ()  # type: ignore[assignment]
-    return each is not None and each.kind is str
-
-
-def value_of_text(text: str) -> Any:
-    """Return a value of TOML, of which quotes and brackets may be left out; a percentage as a share."""
-    if text.endswith("%"):
+def value_of_text(text: str, kind: Any) -> Any:
+    """Return a value of a type, as TOML or without the quotes of a text and the brackets of a list; or a percentage."""
+    is_list = get_origin(kind) is tuple
+    for toml in (text, f"[{text}]") if is_list else (text,):
+        with suppress(ValueError, RecursionError):
+            value = tomllib.loads(f"value = {toml}")["value"]
+            if isinstance(value, list) == is_list and (kind is not str or isinstance(value, str)):
+                return value
+    if kind is float and text.endswith("%"):
         with suppress(ValueError):
             share = float(text[:-1]) / 100.0
             return share if 0.0 <= share <= 1.0 else text
-    for toml in (text, f"[{text}]") if "," in text else (text,):
-        try:
-            return tomllib.loads(f"value = {toml}")["value"]
-        except (ValueError, RecursionError):
-            continue
-    return [part.strip() for part in text.split(",")] if "," in text else text
+    return [part.strip() for part in text.split(",")] if is_list else text
 
 
 def settings_of_call(
@@ -409,16 +397,10 @@ def refuse_unknown(given: Iterable[str], known: Collection[str], function: str) 
         raise UsageError(f"{function}: {unknown_text(unknown, known)}")
 
 
-_GONE = {"speeds": "a map has one speed: give `speed=2`, and map again, into another folder, for each other one"}
-"""Settings of earlier versions -> what to give instead."""
-
-
 def unknown_text(unknown: list[str], known: Collection[str], kind: str = "setting") -> str:
     """Return what is wrong with names that are not known, and what to give instead; ``kind``: what they are of."""
     from difflib import get_close_matches
 
-    if gone := [name for name in unknown if name in _GONE]:
-        return f"there is no {kind} {gone[0]} any more: {_GONE[gone[0]]}"
     near = get_close_matches(unknown[0][:_LONGEST_NAME], known, 1)
     meant = f". Did you mean {near[0]}?" if near else ""
     return f"unknown {kind} {short_names(unknown)}; there are: {', '.join(known)}{meant}"

@@ -478,18 +478,20 @@ def photo_column(pixels: int) -> Column:
     return Column("photo", "|u1", (pixels, pixels, 3))
 
 
+_RIDE = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence")
+
+
 def rated_columns(pixels: int, *, headings: bool = False) -> tuple[Column, ...]:
     """Return the columns of a tile rated by itself, named as in `PatchStack`, `CostMap` and `ObjectStack`.
 
     With ``headings``, the ride by heading is among them.
     """
     floats = ("z_min", "z_max", "z_variance", "ransac_residual", "slope", "z_range", "density", "coverage", "relief")
-    singles = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence")
     return (
         *(Column(name, "<i8") for name in ("col", "row", "count")),
         *(Column(name, "<f8") for name in floats),
         *(Column(name, "|u1") for name in ("reason", "class_id")),
-        *(Column(name, "<f4") for name in singles),
+        *(Column(name, "<f4") for name in _RIDE),
         Column("probability", "<f4", (len(TEXTURES),)),
         Column("heights", "<f4", (pixels, pixels)),
         *(Column(name, "<f4") for name in ("obstacle", "obstacle_height", "clearance", "canopy")),
@@ -514,23 +516,11 @@ def neighbour_columns(pixels: int, *, headings: bool = False) -> tuple[Column, .
     `Barred`; ``passable`` is 1 or 0. ``passage`` numbers the areas of a tile in which the middle of the vehicle can
     move, from 1, the largest; 0 where it cannot be. ``headings`` holds the values of `HEADING_BANDS`.
     """
-    objects = ("obstacle", "obstacle_height", "clearance")
-    singles = (
-        "c_r",
-        "c_r_low",
-        "c_r_high",
-        "p_fail",
-        "confidence",
-        *objects,
-        "edge_step",
-        "inner_step",
-        "c_r_open",
-        "p_fail_open",
-        *SEEN_COLUMNS,
-    )
+    objects, steps = ("obstacle", "obstacle_height", "clearance"), tuple(f"step_{side}" for side in SIDES)
+    singles = (*_RIDE, *objects, "edge_step", "inner_step", "c_r_open", "p_fail_open", *SEEN_COLUMNS, *steps)
     return (
         *(Column(name, "|u1") for name in ("reason", "class_id", "barred", "passable")),
-        *(Column(name, "<f4") for name in (*singles, *(f"step_{side}" for side in SIDES))),
+        *(Column(name, "<f4") for name in singles),
         Column("objects", "|u1", (pixels, pixels)),
         Column("passage", "|u1", (pixels, pixels)),
         *((_HEADINGS,) if headings else ()),

@@ -114,7 +114,6 @@ from .products import (
     REPORT_NAME as REPORT_NAME,
     MapFile as MapFile,
     OutputFolder as OutputFolder,
-    check_check_out as check_check_out,
     check_folder as check_folder,
     refuse_present as refuse_present,
     require_folder as require_folder,
@@ -179,9 +178,6 @@ from .scan_folder import (
     report_frame as report_frame,
     save_part as save_part,
     write_scan_manifest as write_scan_manifest,
-)
-from .stac import (
-    write_collection as write_collection,
 )
 from .tile_table import (
     read_tiles as read_tiles,

@@ -10,7 +10,6 @@ from typing import Any, Literal, TypeAlias, get_args
 
 from bumpymap.core import (
     CLASS_NAMES,
-    BadInputError,
     OutputError,
     escape_controls,
     open_regular,
@@ -74,15 +73,8 @@ def map_facts(folder: Path) -> dict[str, Any]:
     Raises BadInputError: the folder holds no complete map, or one that cannot be read.
     """
     manifest = read_manifest(folder)
-    try:
-        with utf8_path(folder) as path, open_layer(path / MapFile.CLASS) as raster:
-            bounds = dict(zip(("min_x", "min_y", "max_x", "max_y"), map(float, raster.bounds), strict=True))
-        return _counted(manifest) | bounds
-    except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
-        raise BadInputError(f"the run.json in {folder} cannot be read as that of a map: {error!r}") from error
-
-
-def _counted(manifest: dict[str, Any]) -> dict[str, Any]:
+    with utf8_path(folder) as path, open_layer(path / MapFile.CLASS) as raster:
+        bounds = dict(zip(("min_x", "min_y", "max_x", "max_y"), map(float, raster.bounds), strict=True))
     counts, tiles = manifest["counts"], manifest["counts"]["tiles"]
     area = tiles * manifest["grid"]["tile_size_m"] ** 2
     reasons = counts["by_reason"]
@@ -103,6 +95,7 @@ def _counted(manifest: dict[str, Any]) -> dict[str, Any]:
         "calibration": calibration["id"],
         "checksum": " ".join(sums) or None,
         "warnings": tuple(map(str, manifest.get("warnings", ()))),
+        **bounds,
     }
 
 

@@ -149,8 +149,7 @@ def write_products(
     with write_together(folder, MANIFEST_NAME, EVERY_FILE) as staged:
         for layer in MapFile:
             (staged / layer).parent.mkdir(exist_ok=True)
-        groups = _layers(table, coordinates, staged, metadata)
-        with _written(groups, staged, progress) as written:
+        with _written(_layers(table, coordinates, staged, metadata), staged, progress) as written:
             summary = summarise(table, class_limits(manifest))
             record = complete_manifest(manifest, table, summary)
 
@@ -167,31 +166,24 @@ def write_products(
         record["files"].append(describe_file(staged / MapFile.ITEM) | {"path": MapFile.ITEM})
         write_manifest(record, staged / MANIFEST_NAME)
     _log.info("wrote %d tiles to %s", summary.tiles, folder)
-    stems = {Path(name).stem for name in set(SOME_NAMES) - set(_some(table))}
-    names = [name for name in EVERY_FILE if Path(name).stem not in stems]
-    return [folder / name for name in names], summary
+    return [path for path in (folder / name for name in EVERY_FILE) if path.exists()], summary
 
 
 _Layers: TypeAlias = dict[tuple[str, ...], Callable[[], None]]
+_SIDE_BY_SIDE = 3
+"""Layers that are written at a time: rasters take turns where GDAL writes them, see `raster_lock`, and save time where
+it does not."""
 
 
-def _layers(
-    table: CostTable, coordinates: GeoJsonCoordinates, folder: Path, metadata: Mapping[str, Any]
-) -> list[_Layers]:
-    """Return groups of functions that write layers, keyed by file names; a group is written one by one.
+def _layers(table: CostTable, coordinates: GeoJsonCoordinates, folder: Path, metadata: Mapping[str, Any]) -> _Layers:
+    """Return functions that write layers, keyed by file names, in the order in which they begin.
 
-    Rasters take turns where GDAL writes them, see `raster_lock`; two groups of them save time where it does not. What
-    the page shows comes first.
+    What the page shows and what takes longest comes first.
     """
     # Formats that hold nothing but texts have the numbers of a list with spaces between them.
     tags = {name: " ".join(map(str, own)) if isinstance(own, list) else str(own) for name, own in metadata.items()}
-    some = _some(table)
-    fine = [MapFile.HEIGHTMAP, *(name for name in some if name == MapFile.PHOTO), MapFile.OBSTACLE, MapFile.PASSAGE]
-    fine += [MapFile.RELIEF]
-    coarse = [MapFile.CLASS, *(name for name in some if name != MapFile.PHOTO), MapFile.ROUGHNESS, MapFile.REASON]
-    coarse += [MapFile.COST, MapFile.SPEED, MapFile.BARRED]
 
-    def rasters(names: Sequence[MapFile]) -> _Layers:
+    def rasters(*names: MapFile) -> _Layers:
         return {(name,): partial(write_raster, name, table, folder / name, tags) for name in names}
 
     def write_regions() -> None:
@@ -204,11 +196,13 @@ def _layers(
                 write_geojson(regions)
                 write_flatgeobuf(regions)
 
-    tables: _Layers = {
+    return {
+        **rasters(MapFile.HEIGHTMAP, MapFile.CLASS),
         (MapFile.TILES,): partial(write_tiles, table, folder / MapFile.TILES, tags),
+        **rasters(*_some(table), MapFile.OBSTACLE, MapFile.ROUGHNESS),
         (MapFile.REGIONS, MapFile.REGIONS_IN_CRS): write_regions,
+        **rasters(MapFile.PASSAGE, MapFile.REASON, MapFile.RELIEF, MapFile.COST, MapFile.SPEED, MapFile.BARRED),
     }
-    return [rasters(fine), rasters(coarse), tables]
 
 
 def _some(table: CostTable) -> list[MapFile]:
@@ -218,10 +212,8 @@ def _some(table: CostTable) -> list[MapFile]:
 
 
 @contextmanager
-def _written(
-    groups: Sequence[_Layers], folder: Path, progress: Progress
-) -> Iterator[dict[str, "Future[list[dict[str, Any]]]"]]:
-    """Write groups of layers side by side, each in order; after an error, and at the end of the body, no more begin.
+def _written(layers: _Layers, folder: Path, progress: Progress) -> Iterator[dict[str, "Future[list[dict[str, Any]]]"]]:
+    """Write layers side by side; after an error, and at the end of the body, no more begin.
 
     Yields by file name what will hold path, size and checksum of the files of its layer.
     """
@@ -232,16 +224,10 @@ def _written(
         progress.advance(1)
         return files
 
-    progress.start("writing layers", sum(map(len, groups)))
-    pools = [ThreadPoolExecutor(1) for _ in groups]
-    try:
-        futures = {
-            names: pool.submit(write, names, layer)
-            for pool, group in zip(pools, groups, strict=True)
-            for names, layer in group.items()
-        }
-        yield {name: future for names, future in futures.items() for name in names}
-    finally:
-        for wait in (False, True):
-            for pool in pools:
-                pool.shutdown(wait=wait, cancel_futures=True)
+    progress.start("writing layers", len(layers))
+    with ThreadPoolExecutor(_SIDE_BY_SIDE) as pool:
+        try:
+            futures = {names: pool.submit(write, names, layer) for names, layer in layers.items()}
+            yield {name: future for names, future in futures.items() for name in names}
+        finally:
+            pool.shutdown(cancel_futures=True)

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import rioxarray
 from numpy.typing import NDArray
-from rasterio.errors import RasterioError
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from bumpymap.core import BadInputError, closed_gdal, gdal_text
+from bumpymap.core import BadInputError
+from bumpymap.layers.map_files import reading_raster
 
 
 class _ValuesOnDisk(BackendArray):  # type: ignore[misc]  # mypy does not read xarray
@@ -26,14 +26,12 @@ class _ValuesOnDisk(BackendArray):  # type: ignore[misc]  # mypy does not read x
         return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.OUTER, self._read)
 
     def _read(self, key: tuple[Any, ...]) -> NDArray[Any]:
-        try:
+        options = {"cache": False, "parse_coordinates": False, "driver": self.driver}
+        with reading_raster(self.path):
             if _version(self.path) != self._version:
                 raise BadInputError(f"{self.path} was replaced after it was opened: open the layers again")
-            options = {"cache": False, "parse_coordinates": False, "driver": self.driver}
-            with closed_gdal(), rioxarray.open_rasterio(self.path, **options) as raster:
+            with rioxarray.open_rasterio(self.path, **options) as raster:
                 values: NDArray[Any] = raster.variable[key].values
-        except (OSError, RasterioError) as error:
-            raise BadInputError(f"cannot read {self.path}: {gdal_text(error)}. Map the survey again") from error
         return values
 
 

@@ -8,7 +8,7 @@ import json
 import os
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -85,10 +85,7 @@ class ZoneCounts:
 
 
 def first_island(record: Mapping[str, Any]) -> int | None:
-    """Return the first zone that is an island, by run.json: zones are numbered by size, so all after it are too.
-
-    None: there is none, or it is not known, of a map of an earlier version.
-    """
+    """Return the first zone that is an island, by run.json: zones are numbered by size, so all after it are too."""
     zones = record.get("counts", {}).get("zones")
     return zones["pieces"] - zones["islands"] + 1 if zones and zones["islands"] else None
 
@@ -118,23 +115,21 @@ class MapSummary:
     """(5,) degrees, likewise."""
     median_count: float
     """Points per tile."""
-    failing: int = 0
+    failing: int
     """Tiles of class 3 although their C_r is below its limit, because they are too steep or drives fail: their C_r is
     that of the drives that got through."""
-    by_holes: int = 0
+    by_holes: int
     """Tiles of class 3 because too few of their pixels hold a point, by the rule of the paper, not by what was measured
     (``compat = "paper"``)."""
-    judged: int = 0
+    judged: int
     """Tiles with at least 15 points, for the next two."""
-    layered: int = 0
+    layered: int
     """Those in which the heights inside a pixel have a standard deviation above 0.5 m: surfaces above one another."""
-    tall: int = 0
+    tall: int
     """Those whose points are more than 0.5 m from the RANSAC plane, on average."""
-    seen: SeenSizes = SeenSizes()  # noqa: RUF009 (frozen)
+    seen: SeenSizes
     """Smallest obstacle and step that the survey would have shown in the median tile with a class."""
-
-    zones: ZoneCounts | None = None
-    """How its passable tiles hang together; None: not known, of a map of an earlier version."""
+    zones: ZoneCounts
 
     @classmethod
     def of(cls, counts: Mapping[str, Any]) -> Self:
@@ -153,8 +148,8 @@ class MapSummary:
             median_slope=tuple(medians[1]),
             failing=counts["failing"],
             by_holes=counts.get("by_holes", 0),
-            seen=SeenSizes.of(counts.get("seen_sizes") or {}),
-            zones=ZoneCounts(**counts["zones"]) if "zones" in counts else None,
+            seen=SeenSizes.of(counts["seen_sizes"]),
+            zones=ZoneCounts(**counts["zones"]),
             **counts["objects"],
         )
 
@@ -292,8 +287,6 @@ PLACE_SHAPE: dict[str, Any] = {
 """Shape of what manifests of maps and of comparisons say of their place and files."""
 _POSITIVE = Number(0, 1e9)
 """Any other number: far beyond what a map can hold, so that arithmetic stays finite."""
-SEEN_SHAPE: dict[str, Any] = {f"{name}?": Nullable(_POSITIVE) for name in SEEN_NUMBERS} | {"seen?": str}
-"""Shape of `SeenSizes.record`."""
 _INPUT = {"path": str, "bytes?": Nullable(COUNT), "points?": Nullable(COUNT), "checksum?": Nullable(str)}
 _SHAPE: dict[str, Any] = PLACE_SHAPE | {
     "survey": {"name": str, "checksum": Nullable(str), "dates": Nullable([str])},
@@ -312,6 +305,7 @@ _SHAPE: dict[str, Any] = PLACE_SHAPE | {
         "fail_weight_m": _POSITIVE,
         "drive_m": _POSITIVE,
         "slope_limit_deg": Number(0, 90),
+        "speeds_mps_at_c_r_radpm": [(Number(1e-9, 1e9),) * 2],
     },
     "counts": {
         "tiles": COUNT,
@@ -326,8 +320,8 @@ _SHAPE: dict[str, Any] = PLACE_SHAPE | {
         "median_count": Nullable(_POSITIVE),
         "failing": COUNT,
         "objects": {"judged": COUNT, "layered": COUNT, "tall": COUNT},
-        "seen_sizes?": SEEN_SHAPE,
-        "zones?": {
+        "seen_sizes": dict.fromkeys(SEEN_NUMBERS, Nullable(_POSITIVE)) | {"seen": str},
+        "zones": {
             "pieces": COUNT,
             "largest_tiles": COUNT,
             "largest_m2": Number(0, 1e15),
@@ -393,7 +387,7 @@ def complete_manifest(manifest: Mapping[str, Any], table: CostTable, summary: Ma
                 "median_count": summary.median_count,
                 "objects": {"judged": summary.judged, "layered": summary.layered, "tall": summary.tall},
                 "seen_sizes": summary.seen.record(),
-                **({"zones": asdict(summary.zones)} if summary.zones else {}),
+                "zones": summary.zones,
             },
             "files": [],
         }

@@ -59,14 +59,19 @@ def read_colours(
     return colours
 
 
-_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_STARTS = {
-    ".tif": _TIFF,
-    ".fgb": (b"fgb\3",),
-    ".parquet": (b"PAR1",),
-    ".shp": (b"\0\0\x27\x0a",),
-    ".gpkg": (b"SQLite format 3\0",),
-}
+_STARTS = {".fgb": b"fgb\3", ".parquet": b"PAR1", ".shp": b"\0\0\x27\x0a", ".gpkg": b"SQLite format 3\0"}
+
+
+@contextmanager
+def reading_raster(path: Path, remedy: str = _AGAIN, **options: Any) -> Iterator[None]:
+    """Read a raster inside `closed_gdal`; its errors, and names that are no text, become BadInputErrors."""
+    from rasterio.errors import RasterioError
+
+    try:
+        with closed_gdal(**options):
+            yield
+    except (OSError, UnicodeDecodeError, RasterioError) as error:
+        raise BadInputError(f"cannot read {path}: {gdal_text(error)}. {remedy}") from error
 
 
 @contextmanager
@@ -77,20 +82,8 @@ def open_layer(path: Path, *, remedy: str = _AGAIN, **options: Any) -> "Iterator
     BadInputError: it is missing, damaged or of another format; it leads to other files, or the names in it are no text.
     So is each error of GDAL in the body of the ``with``.
     """
-    with _reading(path, options, remedy), open_tiff(path, remedy) as file:
+    with reading_raster(path, remedy, **options), open_tiff(path, remedy) as file:
         yield file
-
-
-@contextmanager
-def _reading(path: Path, options: Mapping[str, Any], remedy: str = _AGAIN) -> Iterator[None]:
-    """Read a raster inside `closed_gdal`; errors of GDAL and names that are no text become BadInputErrors."""
-    from rasterio.errors import RasterioError
-
-    try:
-        with closed_gdal(**options):
-            yield
-    except (UnicodeDecodeError, RasterioError) as error:
-        raise BadInputError(f"cannot read {path}: {gdal_text(error)}. {remedy}") from error
 
 
 _KEPT: dict[str, Any] = {"GDAL_CACHEMAX": 32 << 20}
@@ -129,7 +122,7 @@ class KeptRasters:
             with open_layer(path, **_KEPT) as file:
                 yield file
             return
-        with raster_lock(), _reading(path, _KEPT):
+        with raster_lock(), reading_raster(path, **_KEPT):
             if path not in self._open:
                 self._open[path] = open_tiff(path, _AGAIN)
             try:
@@ -144,13 +137,12 @@ class KeptRasters:
 
 def require_format(path: Path) -> None:
     """Raise BadInputError if a file does not begin as the format does that its name states."""
-    allowed = _STARTS[path.suffix.lower()]
     try:
         with open_regular(path) as file:
             start = file.read(16)
     except OSError as error:
         raise BadInputError(f"cannot read {path}: {error.strerror or error}") from error
-    if not start.startswith(allowed):
+    if not start.startswith(_STARTS[path.suffix.lower()]):
         raise BadInputError(
             f"cannot read {path}: it does not begin as such a file does. It is damaged, or of another format"
         )

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -31,24 +30,16 @@ from bumpymap.core import (
     stated_crs,
 )
 from bumpymap.layers.manifest import read_manifest
-from bumpymap.layers.map_files import KeptRasters, read_averaged, read_colours, require_written
+from bumpymap.layers.map_files import KeptRasters, read_colours, require_written
 from bumpymap.layers.products import MapFile
 from bumpytiles import Grid, TileWindow
 
 Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
+Number = TypeVar("Number", np.uint8, np.float32)
 
 _BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle", *SEEN_COLUMNS)
 
-_DTYPES = {
-    MapFile.BARRED: "uint8",
-    MapFile.ROUGHNESS: "float32",
-    MapFile.COST: "float32",
-    MapFile.HEIGHTMAP: "float32",
-    MapFile.OBSTACLE: "uint8",
-    MapFile.PASSAGE: "uint8",
-    MapFile.CLASS: "uint8",
-}
-_RASTERS = tuple(name for name in _DTYPES if name != MapFile.CLASS)
+_RASTERS = (MapFile.BARRED, MapFile.ROUGHNESS, MapFile.COST, MapFile.HEIGHTMAP, MapFile.OBSTACLE, MapFile.PASSAGE)
 """Rasters of a route; a comparison of surveys reads the classes too, and a route headings.tif and photo.tif where they
 are there."""
 _PER_PIXEL = (MapFile.HEIGHTMAP, MapFile.OBSTACLE, MapFile.PASSAGE, MapFile.PHOTO)
@@ -56,9 +47,6 @@ CHECKED_BYTES = 64 << 20
 """The checksum of a larger raster, which takes a second for 1.4 GB, is compared when it is first read."""
 _OFF = 1e-3
 """Greatest distance of a raster's corner from a corner of the grid of tiles, in tiles."""
-_PIECE = 512
-"""Side of the pieces that are read at once, raster pixels: roughness.tif keeps 17 bands together, which GDAL decodes
-for one; a piece of all of them fits into its cache."""
 _AGAIN = "Map the survey again"
 _PLANE_PIXELS = 1 << 20
 """Heights that planes are put through at once: chosen, 4 MB."""
@@ -126,18 +114,13 @@ class MapReader:
         float32, NaN where unknown. Each (rows, cols), north row first.
         """
         shape = (window.rows, window.cols)
-        out: dict[str, NDArray[Any]] = {"barred": np.full(shape, NO_TILE, np.uint8)}
-        out |= {"class_id": np.full(shape, NO_CLASS, np.uint8)} if classes else {}
-        out |= {band: np.full(shape, np.nan, np.float32) for band in bands}
-        part = common_window(window, self.window)
-        if part is not None:
-            place = _slices(window, part)
-            self._read_into([out["barred"][place]], MapFile.BARRED, part)
-            if classes:
-                self._read_into([out["class_id"][place]], MapFile.CLASS, part)
-            if bands:
-                self._read_into([out[band][place] for band in bands], MapFile.ROUGHNESS, part, bands)
-        barred = out["barred"]
+        barred = self._fill(MapFile.BARRED, window, np.full(shape, NO_TILE, np.uint8))
+        out: dict[str, NDArray[Any]] = {"barred": barred}
+        if classes:
+            out["class_id"] = self._fill(MapFile.CLASS, window, np.full(shape, NO_CLASS, np.uint8))
+        if bands:
+            numbers = np.full((len(bands), *shape), np.nan, np.float32)
+            out |= zip(bands, self._fill(MapFile.ROUGHNESS, window, numbers, bands), strict=True)
         if ((barred > max(Barred)) & (barred != NO_TILE)).any():
             raise BadInputError(f"{self.folder / MapFile.BARRED} holds unknown codes. Map the survey again")
         for band in set(bands) & {"c_r", "c_r_high", "p_fail"}:
@@ -153,10 +136,7 @@ class MapReader:
     def headings(self, window: TileWindow) -> NDArray[np.float32]:
         """Read C_r along each of ``AXES_DEG``, rad/m, float32 (rows, cols, 8); NaN where unknown."""
         out = np.full((window.rows, window.cols, len(HEADING_BANDS)), np.nan, np.float32)
-        part = common_window(window, self.window)
-        if part is not None:
-            inside = np.moveaxis(out[_slices(window, part)], -1, 0)
-            self._read_into(list(inside), MapFile.HEADINGS, part, [band.name for band in HEADING_BANDS])
+        self._fill(MapFile.HEADINGS, window, np.moveaxis(out, -1, 0), [band.name for band in HEADING_BANDS])
         if (out < 0.0).any():
             raise BadInputError(f"{self.folder / MapFile.HEADINGS} is damaged. {_AGAIN}")
         return out
@@ -190,7 +170,7 @@ class MapReader:
         ``window``: may extend beyond the map; ``shape``: rows and columns of the result, which spans the window.
         Returns heights in m, north row first; NaN where there is none. The map is placed to the nearest pixel.
         """
-        return self._pixels(MapFile.HEIGHTMAP, window, np.full(shape, np.nan, np.float32))
+        return self._fill(MapFile.HEIGHTMAP, window, np.full(shape, np.nan, np.float32))
 
     def photo(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32] | None:
         """Read the colours of the points from the overviews of photo.tif; None if the map has no photo.
@@ -200,99 +180,72 @@ class MapReader:
         """
         if MapFile.PHOTO not in _rasters(self.manifest):
             return None
-        return self._pixels(MapFile.PHOTO, window, np.full((*shape, 3), np.nan, np.float32))
+        out = np.full((*shape, 3), np.nan, np.float32)
+        self._fill(MapFile.PHOTO, window, np.moveaxis(out, -1, 0))
+        return out
 
     def objects(self, window: TileWindow, shape: tuple[int, int] | None = None) -> NDArray[np.uint8]:
         """Read the objects on the ground, uint8 (rows * pixels, cols * pixels), or in another ``shape``.
 
         0 free, 1 obstacle, 2 canopy, 3 unknown, 4 a step that it cannot cross; 255 outside the tiles with points.
         """
-        return self._pixels(MapFile.OBSTACLE, window, np.full(shape or self._shape(window), NO_TILE, np.uint8))
+        return self._fill(MapFile.OBSTACLE, window, np.full(shape or self._shape(window), NO_TILE, np.uint8))
 
-    def passage(self, window: TileWindow) -> NDArray[np.bool_]:
-        """Read where the middle of the vehicle can be, (rows * pixels, cols * pixels); nowhere outside the map."""
-        return self.passage_shown(window, self._shape(window))
+    def passage(self, window: TileWindow, shape: tuple[int, int] | None = None) -> NDArray[np.bool_]:
+        """Read where the middle of the vehicle can be, (rows * pixels, cols * pixels); nowhere outside the map.
+
+        In another ``shape`` a pixel, of an overview, is closed where one of four is.
+        """
+        out = self._fill(MapFile.PASSAGE, window, np.full(shape or self._shape(window), NO_TILE, np.uint8))
+        return np.asarray((out > 0) & (out != NO_TILE))
 
     def zone_at(self, point: NDArray[np.float64]) -> int:
-        """Return the zone that a point, (2,) easting and northing [m], lies in; 0: in none, or it is not known.
+        """Return the zone that a point, (2,) easting and northing [m], lies in; 0: in none.
 
         The zone of a tile is that of its largest area: in the others it is not known.
         """
-        if "zones" not in self.manifest["counts"]:  # of an earlier version
-            return 0
         (col,), (row,) = tile = self.grid.index(point[:, None])
         window, pixels = TileWindow(int(col), int(row), 1, 1), self.grid.pixels
         right, up = self.grid.pixel(point[:, None], tile)[:, 0]
-        area = self._pixels(MapFile.PASSAGE, window, np.zeros((pixels, pixels), np.uint8))[pixels - 1 - up, right]
+        area = self._fill(MapFile.PASSAGE, window, np.zeros((pixels, pixels), np.uint8))[pixels - 1 - up, right]
         return int(np.nan_to_num(self.values(window, ("zone",))["zone"][0, 0])) if area == 1 else 0
-
-    def passage_shown(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.bool_]:
-        """Read `passage` in ``shape`` pixels that span a window; one of an overview is closed where one of four is."""
-        out = self._pixels(MapFile.PASSAGE, window, np.full(shape, NO_TILE, np.uint8))
-        return np.asarray((out > 0) & (out != NO_TILE))
 
     def _shape(self, window: TileWindow) -> tuple[int, int]:
         return window.rows * self.grid.pixels, window.cols * self.grid.pixels
 
-    def _pixels(self, raster: MapFile, window: TileWindow, out: NDArray[Any]) -> NDArray[Any]:
-        """Fill those of the pixels that span a window which lie on the map."""
-        rows, cols = out.shape[0] / window.rows, out.shape[1] / window.cols
-        part = common_window(window, self.window)
-        if part is not None:
-            place = tuple(
-                slice(*np.rint(np.array([tiles.start, tiles.stop]) * scale).astype(int).tolist())
-                for tiles, scale in zip(_slices(window, part), (rows, cols), strict=True)
-            )
-            shape = place[0].stop - place[0].start, place[1].stop - place[1].start
-            if min(shape) > 0:
-                out[place] = self._read_pixels(raster, part, shape)
-        return out
+    def _fill(
+        self, name: MapFile, window: TileWindow, out: NDArray[Number], bands: Sequence[str] = ()
+    ) -> NDArray[Number]:
+        """Read those of the pixels that span a window which lie on the map into an array, and return it.
 
-    def _read_into(
-        self, out: Sequence[NDArray[Any]], name: MapFile, window: TileWindow, bands: Sequence[str] = ()
-    ) -> None:
-        """Read a window that lies inside the map into arrays, which may be parts of larger ones.
-
-        ``out``: one for each band, (rows * p, cols * p), north row first; p is the number of pixels along a tile in
-        rasters of pixels, else 1; ``bands``: names of the bands; none: the first.
+        ``out``: ([bands,] rows, cols), north row first. With fewer pixels than the raster has they come from its
+        overviews: numbers as means. ``bands``: names of the bands; none: the first.
         """
-        top, left, rows, cols = self._place(name, window)
-        self._require_whole(name)
-        with self.rasters.opened(self.folder / name) as file:
-            if missing := [band for band in bands if band not in file.descriptions]:
-                raise BadInputError(f"{self.folder / name} has no band {missing[0]}. {_AGAIN}")
-            numbers = [file.descriptions.index(band) + 1 for band in bands] or [1]
-            # Cut at multiples of a piece, so that no block of the file is decoded twice.
-            for lines, columns in product(_cut(top, top + rows), _cut(left, left + cols)):
-                place = slice(lines[0] - top, lines[1] - top), slice(columns[0] - left, columns[1] - left)
-                for array, values in zip(out, file.read(numbers, window=(lines, columns)), strict=True):
-                    array[place] = values
+        from rasterio.enums import Resampling
 
-    def _read_pixels(self, name: MapFile, window: TileWindow, shape: tuple[int, int]) -> NDArray[Any]:
-        """Read a window of the map of a raster with several pixels a tile, in ``shape`` pixels.
-
-        With fewer pixels than the file has they come from the overviews: numbers as means.
-        """
-        top, left, rows, cols = self._place(name, window)
-        if shape == (rows, cols) and name != MapFile.PHOTO:
-            whole = np.empty(shape, _DTYPES[name])
-            self._read_into([whole], name, window)
-            return whole
-        part = ((top, top + rows), (left, left + cols))
+        part, whole = common_window(window, self.window), out if out.ndim == 3 else out[None]
+        if part is None:
+            return out
+        scales = whole.shape[1] / window.rows, whole.shape[2] / window.cols
+        sides = zip(_slices(window, part), scales, strict=True)
+        rows, cols = (slice(round(at.start * scale), round(at.stop * scale)) for at, scale in sides)
+        inside = whole[:, rows, cols]
+        if not inside.size:
+            return out
+        own, scale = self.window, self.grid.pixels if name in _PER_PIXEL else 1
+        top, left = (own.row + own.rows - part.row - part.rows) * scale, (part.col - own.col) * scale
+        place = ((top, top + part.rows * scale), (left, left + part.cols * scale))
         self._require_whole(name)
         with self.rasters.opened(self.folder / name) as file:
             if name == MapFile.PHOTO:
-                return np.moveaxis(read_colours(file, shape, part), 0, -1)
-            if _DTYPES[name] == "float32":
-                return read_averaged(file, shape, part)
-            found: NDArray[Any] = file.read(1, window=part, out_shape=shape)
-            return found
-
-    def _place(self, name: MapFile, window: TileWindow) -> tuple[int, int, int, int]:
-        """Return top, left, rows and columns of a window in a raster, pixels."""
-        own, scale = self.window, self.grid.pixels if name in _PER_PIXEL else 1
-        top = own.row + own.rows - window.row - window.rows
-        return top * scale, (window.col - own.col) * scale, window.rows * scale, window.cols * scale
+                inside[:] = read_colours(file, inside.shape[1:], place)
+                return out
+            if missing := [band for band in bands if band not in file.descriptions]:
+                raise BadInputError(f"{self.folder / name} has no band {missing[0]}. {_AGAIN}")
+            numbers = [file.descriptions.index(band) + 1 for band in bands] or [1]
+            how = Resampling.average if out.dtype == np.float32 else Resampling.nearest
+            file.read(numbers, window=place, out=inside, resampling=how)
+        return out
 
     def _require_whole(self, name: MapFile) -> None:
         """Raise BadInputError if a raster whose checksum was not compared when the map was opened is damaged."""
@@ -352,19 +305,18 @@ def open_map(folder: str | os.PathLike[str]) -> MapReader:
     """
     folder, rasters = Path(folder), KeptRasters()
     manifest = read_manifest(folder)
+    require_written(folder, manifest, _rasters(manifest), most=CHECKED_BYTES)
+    crs, unit, cost, own = (manifest[name] for name in ("crs", "metres_per_unit", "cost", "vehicle"))
     try:
-        require_written(folder, manifest, _rasters(manifest), most=CHECKED_BYTES)
-        crs, unit = manifest["crs"], manifest["metres_per_unit"]
         known = None if crs is None else stated_crs(crs["wkt"])
-        cost, own = manifest["cost"], manifest["vehicle"]
-        names = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
-        ride, fail, drive, slope = (float(cost[name]) for name in names)
-        grid = Grid(float(manifest["grid"]["tile_size_m"]), int(manifest["grid"]["pixels"]))
-        georeference = Georeference(known, float(unit["horizontal"]), float(unit["vertical"]))
-        rule = CostRule(ride, fail, drive, slope, _speeds(cost))
-        vehicle = RouteVehicle(own["name"], float(own["width_m"]), float(own["speed_mps"]))
-    except (LookupError, TypeError, ValueError, AttributeError, CRSError) as error:
+    except CRSError as error:
         raise BadInputError(f"{folder / 'run.json'} is damaged: {error!r}. {_AGAIN}") from error
+    grid = Grid(manifest["grid"]["tile_size_m"], manifest["grid"]["pixels"])
+    georeference = Georeference(known, unit["horizontal"], unit["vertical"])
+    weights = {"ride_weight": cost["ride_weight_m_per_rad"], "fail_weight": cost["fail_weight_m"]}
+    limits = {"drive_m": cost["drive_m"], "slope_limit_deg": cost["slope_limit_deg"]}
+    rule = CostRule(**weights, **limits, speeds=tuple((c_r, mps) for mps, c_r in cost["speeds_mps_at_c_r_radpm"]))
+    vehicle = RouteVehicle(own["name"], own["width_m"], own["speed_mps"])
     windows = {name: _window_of(folder, name, grid, georeference, rasters) for name in _rasters(manifest)}
     (first, window), *others = windows.items()
     for name, own in others:
@@ -393,10 +345,6 @@ def common_window(first: TileWindow, second: TileWindow) -> TileWindow | None:
     return TileWindow(west, south, cols, rows) if cols > 0 and rows > 0 else None
 
 
-def _cut(start: int, stop: int) -> list[tuple[int, int]]:
-    return list(pairwise([start, *range((start // _PIECE + 1) * _PIECE, stop, _PIECE), stop]))
-
-
 def _window_of(folder: Path, name: MapFile, grid: Grid, georeference: Georeference, rasters: KeptRasters) -> TileWindow:
     path, pixels = folder / name, grid.pixels if name in _PER_PIXEL else 1
     tile = grid.tile_size / georeference.metres_per_unit
@@ -413,15 +361,6 @@ def _window_of(folder: Path, name: MapFile, grid: Grid, georeference: Georeferen
             f"{path} does not lie on the grid of tiles of {grid.tile_size:g} m that run.json states. {_AGAIN}"
         )
     return TileWindow(*whole)
-
-
-def _speeds(cost: Mapping[str, Any]) -> tuple[tuple[float, float], ...]:
-    """Return ``CostRule.speeds``."""
-    found = tuple((float(c_r), float(speed)) for speed, c_r in cost["speeds_mps_at_c_r_radpm"])
-    known = np.array(found)
-    if not (np.isfinite(known) & (known > 0.0)).all() or (np.diff(known[:, 0]) <= 0.0).any():
-        raise ValueError("speeds_mps_at_c_r_radpm")
-    return found
 
 
 def _planes(z: NDArray[np.float32]) -> NDArray[np.float64]:

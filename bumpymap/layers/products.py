@@ -154,9 +154,11 @@ class OutputFolder:
     def check(self, out: Path, *, overwrite: bool) -> None:
         """Check, before anything is computed, that the files can be written to a folder. Writes nothing.
 
-        Raises UsageError: ``out`` holds the layers of a survey; OutputError: there are files that must not be replaced,
-        or ``out`` is a file.
+        Raises UsageError: ``out`` holds the layers of a survey, or is named like a file; OutputError: there are files
+        that must not be replaced, or ``out`` is a file.
         """
+        if out.suffix.lower() in OTHER_FILES and not out.is_dir():
+            raise UsageError(f"{out} is named like a {out.suffix.lower()} file. Give a folder as `out`")
         require_folder(out)
         if lexists(out / MANIFEST_NAME):
             raise UsageError(f"{out} holds the layers of a survey. Give a folder of its own as `out`")
@@ -194,17 +196,6 @@ CHECK_FILES = OutputFolder(
     CHECK_MANIFEST_NAME,
     views=("check.qml", MapFile.PROJECT),
 )
-
-
-def check_check_out(out: Path, *, overwrite: bool) -> None:
-    """Check, before anything is computed, that the files of a check can be written to a folder. Writes nothing.
-
-    Raises UsageError: ``out`` holds the layers of a survey, or is named like a file; OutputError: there are files that
-    must not be replaced, or ``out`` is a file.
-    """
-    if out.suffix.lower() in OTHER_FILES and not out.is_dir():
-        raise UsageError(f"{out} is named like a {out.suffix.lower()} file, but a check is a folder. Give one as `out`")
-    CHECK_FILES.check(out, overwrite=overwrite)
 
 
 CHECK_FORMAT = "bumpymap-check"

@@ -83,33 +83,10 @@ the outlines of cost.geojson (see `GeoJsonCoordinates.polygons`)."""
 def route_coordinates(route: Route) -> GeoJsonCoordinates:
     """Return the coordinates for files with this route.
 
-    A survey without a CRS, or with one that has no relation to longitude and latitude, keeps its own coordinates: it
-    was mapped with ``local``.
+    A survey without a CRS, with one that has no relation to longitude and latitude, or across the antimeridian keeps
+    its own coordinates: it was mapped with ``local``.
     """
     return GeoJsonCoordinates.of(Placement(route.georeference, route.grid, window_around(route, 0.0)), local=True)
-
-
-def split_at_antimeridian(degrees: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Cut a line where it crosses the antimeridian (RFC 7946, 3.1.9).
-
-    ``degrees`` (n, 2): longitude and latitude; a step of more than 180 degrees is a crossing. Returns the parts in
-    order, m >= 2; each crossing adds a point to both.
-    """
-    lon, lat = degrees.T
-    before = np.flatnonzero(np.abs(np.diff(lon)) > 180.0)
-    if not len(before):
-        return [degrees]
-    side = np.where(lon[before] > 0.0, 180.0, -180.0)
-    to_border = side - lon[before]
-    way = lon[before + 1] + 2.0 * side - lon[before]
-    share = np.divide(to_border, way, out=np.zeros(len(before)), where=way != 0.0)
-    crossing = (lat[before] + share * (lat[before + 1] - lat[before])).round(DEGREE_DECIMALS)
-    ends = np.column_stack([side, crossing])
-    starts = np.column_stack([-side, crossing])
-    cut = np.insert(degrees, np.repeat(before + 1, 2), np.stack([ends, starts], axis=1).reshape(-1, 2), axis=0)
-    parts = np.split(cut, before + 2 + 2 * np.arange(len(before)))
-    # A corner on the antimeridian itself gives a part of length 0, which is no line.
-    return [part for part in parts if (part != part[0]).any()]
 
 
 def window_around(route: Route, margin_m: float) -> TileWindow:
@@ -132,10 +109,7 @@ def write_route_geojson(route: Route, path: Path) -> None:
     if place.has_degrees and (corners != corners[0]).any():  # GEOS knows no line of length 0
         # Points in between keep long segments straight on the ground.
         corners = shapely.get_coordinates(shapely.segmentize(shapely.linestrings(corners), _SEGMENT_M))
-    places = place.in_file(corners)
-    cut = split_at_antimeridian(places) if place.has_degrees else [places]
-    parts = [shapely.LineString(part) for part in cut]
-    line = feature(route_properties(route), parts[0] if len(parts) == 1 else shapely.MultiLineString(parts))
+    line = feature(route_properties(route), shapely.LineString(place.in_file(corners)))
     roles, names, positions = stop_roles(len(route.stops)), stop_names(len(route.stops)), place.in_file(route.stops)
     stops = (
         feature({"role": role, "name": name}, shapely.Point(position))
@@ -177,16 +151,14 @@ def write_gpx(route: Route, path: Path) -> None:
         )
     root = ET.Element("gpx", {"version": "1.1", "creator": "bumpymap", "xmlns": GPX})
     points = track_points(route)
-    degrees = _degrees(points[:, :2], place)
+    degrees = place.in_file(points[:, :2])
     metadata = ET.SubElement(root, "metadata")
     _text(metadata, "name", "route planned by bumpymap")
     west, south = degrees.min(axis=0)
     east, north = degrees.max(axis=0)
-    if east - west <= 180.0:  # bounds cannot cross the antimeridian
-        sides = {"minlat": south, "minlon": west, "maxlat": north, "maxlon": east}
-        ET.SubElement(metadata, "bounds", {name: f"{value:.7f}" for name, value in sides.items()})
-    stops = _degrees(route.stops, place)
-    for name, position in zip(stop_names(len(stops)), stops, strict=True):
+    sides = {"minlat": south, "minlon": west, "maxlat": north, "maxlon": east}
+    ET.SubElement(metadata, "bounds", {name: f"{value:.7f}" for name, value in sides.items()})
+    for name, position in zip(stop_names(len(route.stops)), place.in_file(route.stops), strict=True):
         _text(_point(root, "wpt", position, math.nan), "name", name)
     track = ET.SubElement(root, "trk")
     _text(track, "name", route.name)
@@ -216,13 +188,6 @@ def track_points(route: Route) -> NDArray[np.float64]:
     others = np.column_stack([profile.easting, profile.northing, profile.z])[between]
     order = np.argsort(np.concatenate([along, profile.distance[between]]), kind="stable")
     return np.asarray(np.concatenate([corners, others])[order], dtype=np.float64)
-
-
-def _degrees(grid_m: NDArray[np.float64], place: GeoJsonCoordinates) -> NDArray[np.float64]:
-    """Return longitude (below 180, as the schema wants it) and latitude, (n, 2)."""
-    degrees = place.in_file(grid_m)
-    degrees[degrees[:, 0] == 180.0, 0] = -180.0
-    return degrees
 
 
 def _point(parent: ET.Element, tag: str, position: NDArray[np.float64], height: float) -> ET.Element:
@@ -403,8 +368,7 @@ def write_isochrones(
         if inside.any():
             # Tiles that touch at a corner only are polygons apart: nothing drives over a corner.
             labels, first = label(inside.astype(np.uint8))
-            polygons = place.polygons(trace_all(labels, reach.placement.window, len(first)))
-            geometry = shapely.multipolygons(shapely.get_parts(polygons))
+            geometry = shapely.multipolygons(place.polygons(trace_all(labels, reach.placement.window, len(first))))
         area = int(inside.sum()) * reach.placement.grid.tile_size**2
         features.append(feature({"within": level, "of": "minutes", "unit": "min", "area_m2": area}, geometry))
     write_features(path, "isochrones", place, features, about)

@@ -10,7 +10,7 @@ import json
 import logging
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -26,7 +26,6 @@ from bumpymap.core import (
     BadInputError,
     Each,
     Nullable,
-    Number,
     describe_crs,
     parse_json,
     raster_lock,
@@ -71,22 +70,19 @@ def read_vectors(path: Path) -> VectorLayer:
         raise BadInputError(f"cannot read {path}: {str(error).splitlines()[0]}. {_REMEDY}") from error
 
 
-_GEOMETRY = {"type": str, "coordinates?": list, "geometries?": list}
-_FEATURE = {"type": str, "geometry?": Nullable(_GEOMETRY), "properties?": Nullable(Each())}
-_GEOJSON_SHAPE = {
-    **_FEATURE,
-    **_GEOMETRY,
+_FEATURE = {"type": str, "geometry?": Nullable({"type": str}), "properties?": Nullable(Each())}
+_GEOJSON_SHAPE = _FEATURE | {
     "features?": [_FEATURE],
     "crs?": Nullable({"type": str, "properties": {"name?": str}}),
 }
 
 
-def geojson_features(path: Path) -> tuple[list[tuple[dict[str, Any], dict[str, Any]]], str | None]:
+def geojson_features(path: Path) -> tuple[list[tuple[shapely.Geometry, dict[str, Any]]], str | None]:
     """Read a GeoJSON file.
 
-    Returns ``features``: geometry, with two numbers for each position, and properties of each feature that has a
-    geometry; ``crs``: name of the CRS that the file states; files of RFC 7946 state none. Raises OSError, ValueError:
-    the file cannot be read, or is no GeoJSON.
+    Returns ``features``: geometry, in two dimensions, and properties of each feature that has a geometry; ``crs``: name
+    of the CRS that the file states; files of RFC 7946 state none. Raises OSError, ValueError: the file cannot be read,
+    or is no GeoJSON.
     """
     record = parse_json(read_regular(path).decode("utf-8-sig"))
     if fault := shape_fault(record, _GEOJSON_SHAPE):
@@ -98,54 +94,22 @@ def geojson_features(path: Path) -> tuple[list[tuple[dict[str, Any], dict[str, A
     for number, one in enumerate(record.get("features", ()) if record["type"] == "FeatureCollection" else [record], 1):
         geometry, about = (one.get("geometry"), one.get("properties")) if one["type"] == "Feature" else (one, None)
         if geometry is not None:
-            found.append((_flat(geometry, f"the geometry of feature {number}"), about or {}))
+            try:
+                found.append((shapely.force_2d(shapely.from_geojson(json.dumps(geometry))), about or {}))
+            except shapely.errors.GEOSException as error:
+                said = str(error).partition(": ")[2].splitlines()[0]
+                raise ValueError(f"the {geometry['type']} of feature {number} is damaged: {said}") from error
     return found, stated["properties"].get("name")
 
 
-def line_parts(geometry: Mapping[str, Any]) -> list[NDArray[np.float64]]:
-    """Return the positions of each line of a LineString or MultiLineString of `geojson_features`, (n, 2) each.
-
-    Raises ValueError: it is damaged.
-    """
-
-    def is_position(value: Any) -> bool:
-        return isinstance(value, list) and len(value) == 2 and not isinstance(value[0], list)
-
-    parts = geometry["coordinates"] if geometry["type"] == "MultiLineString" else [geometry["coordinates"]]
-    if not parts or not all(isinstance(part, list) and part and all(map(is_position, part)) for part in parts):
-        raise ValueError(f"a {geometry['type']} of it is damaged: it is no list of positions")
-    return [np.array(part, np.float64) for part in parts]
-
-
-def _flat(geometry: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return a geometry with two numbers for each position; ValueError if it is none."""
-    if fault := shape_fault(geometry, _GEOMETRY, name):
-        raise ValueError(fault)
-    if geometry["type"] == "GeometryCollection":
-        return {"type": geometry["type"], "geometries": [_flat(part, name) for part in geometry.get("geometries", ())]}
-    return {"type": geometry["type"], "coordinates": _positions(geometry.get("coordinates"), name)}
-
-
-def _positions(value: Any, name: str) -> list[Any]:
-    if not isinstance(value, list):
-        raise ValueError(f"{name} has coordinates that are no arrays of numbers: {str(value)[:40]!r}")  # noqa: TRY004 (the content of a file)
-    if not value or isinstance(value[0], list):
-        return [_positions(part, name) for part in value]
-    if shape_fault(value[:2], (Number(), Number())):
-        raise ValueError(f"{name} has a position that is no two numbers: {str(value)[:40]!r}")
-    return value[:2]
+def line_parts(geometry: shapely.Geometry) -> list[NDArray[np.float64]]:
+    """Return the positions of each line of a LineString or MultiLineString, (n, 2) each."""
+    return [shapely.get_coordinates(part) for part in shapely.get_parts(geometry) if not part.is_empty]
 
 
 def _read_geojson(path: Path) -> VectorLayer:
     features, stated = geojson_features(path)
-    found = []
-    for geometry, _ in features:
-        try:
-            found.append(shapely.from_geojson(json.dumps(geometry)))
-        except shapely.errors.GEOSException as error:
-            said = str(error).partition(": ")[2].splitlines()[0]
-            raise ValueError(f"a {geometry['type']} of it is damaged: {said}") from error
-    shapes = np.array(found, object)
+    shapes = np.array([geometry for geometry, _ in features], object)
     names = [about.get("name") for _, about in features]
     if stated is not None:
         return _layer(shapes, names, stated_crs(stated))
@@ -417,19 +381,13 @@ def _on_grid(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_m
 
 
 def _around(route_map: MapReader, transformer: Transformer) -> tuple[shapely.Geometry | None, float]:
-    """Return the surroundings of the map in the CRS of a file, None if they have no bounds there; and a short length.
-
-    A map across the antimeridian has two of them in degrees, one on each side.
-    """
+    """Return the surroundings of the map in the CRS of a file, None if it has no bounds there; and a short length."""
     bounds, unit = route_map.grid.window_bounds(route_map.window), route_map.georeference.metres_per_unit
     x0, y0, x1, y1 = (side / unit for side in (bounds.west, bounds.south, bounds.east, bounds.north))
     west, south, east, north = transformer.transform_bounds(x0, y0, x1, y1, densify_pts=21, direction="INVERSE")
-    is_cut = east < west
-    side = max(east - west + (360.0 if is_cut else 0.0), north - south)
-    if not (np.isfinite(side) and side > 0.0):
+    side = max(east - west, north - south)
+    if not (np.isfinite(side) and east > west):  # across the antimeridian it ends west of where it begins
         degrees = transformer.source_crs is not None and transformer.source_crs.is_geographic
         return None, 1e-3 if degrees else 100.0
     pad = _BEYOND * side
-    spans = [(west - pad, 180.0), (-180.0, east + pad)] if is_cut else [(west - pad, east + pad)]
-    boxes = [shapely.box(low, south - pad, high, north + pad) for low, high in spans]
-    return shapely.union_all(boxes), side / _STEPS
+    return shapely.box(west - pad, south - pad, east + pad, north + pad), side / _STEPS

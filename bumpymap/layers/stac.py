@@ -17,7 +17,7 @@ from bumpymap.core import BadInputError, atomic, escape_controls, read_record, s
 from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import COLLECTION_NAME, EVERY_NAME, EVERY_VIEW_NAME, MapFile
-from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates
+from bumpymap.layers.vector import GeoJsonCoordinates
 
 if TYPE_CHECKING:
     from rasterio.io import DatasetReader
@@ -180,15 +180,11 @@ def write_collection(path: Path, root: Path, folders: Sequence[str], title: str)
 def _extent(items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the box and the days of items: the whole Earth without a place, any time if no dates are known."""
     boxes = [item["bbox"] for item in items if "bbox" in item] or [[-180.0, -90.0, 180.0, 90.0]]
-    west, south, east, north = (
-        pick(side) for pick, side in zip((min, min, max, max), zip(*boxes, strict=True), strict=True)
-    )
-    if any(box[0] > box[2] for box in boxes):  # across the antimeridian
-        west, east = -180.0, 180.0
+    bbox = [pick(side) for pick, side in zip((min, min, max, max), zip(*boxes, strict=True), strict=True)]
     dated = [item["properties"] for item in items if item["properties"]["bumpymap:dates_known"]]
     first = min((about["start_datetime"] for about in dated), default=_ANY_INTERVAL[0])
     last = max((about["end_datetime"] for about in dated), default=_ANY_INTERVAL[1])
-    return {"spatial": {"bbox": [[west, south, east, north]]}, "temporal": {"interval": [[first, last]]}}
+    return {"spatial": {"bbox": [bbox]}, "temporal": {"interval": [[first, last]]}}
 
 
 def _link(rel: str, href: str, title: str) -> dict[str, Any]:
@@ -277,6 +273,4 @@ def _footprint(place: Placement) -> dict[str, Any]:
         outlines = coordinates.polygons(shapely.polygons([shapely.box(*corners).exterior]))
     except BadInputError:
         return {"geometry": None}
-    box = BoundingBox()
-    box.add(outlines)
-    return {"bbox": box.bounds(in_degrees=True), "geometry": shapely.geometry.mapping(outlines[0])}
+    return {"bbox": shapely.total_bounds(outlines).tolist(), "geometry": shapely.geometry.mapping(outlines[0])}

@@ -20,7 +20,6 @@ from bumpymap.core import (
     REASON_TEXT,
     SIDES,
     TEXTURES,
-    ZONE,
     BadInputError,
     Barred,
     CostTable,
@@ -190,7 +189,7 @@ def typed_array(values: Any, field: pa.Field) -> pa.Array:
 
 
 _PAGE_NUMBERS = ("c_r", "p_fail", "slope", "obstacle")
-_READ = ("col", "row", "class", "reason", "barred", *_PAGE_NUMBERS)
+_READ = ["col", "row", "class", "reason", "barred", "zone", *_PAGE_NUMBERS]
 _AGAIN = "Map the survey again"
 _BYTES = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "FLOAT": 4, "DOUBLE": 8}
 """Bytes of a value in memory, by its type in the file, where runs of equal values take next to nothing."""
@@ -210,10 +209,9 @@ def read_tiles(path: Path, tiles: int) -> Iterator[dict[str, NDArray[Any]]]:
             if missing:
                 raise BadInputError(f"{path} has no column {min(missing)}. {_AGAIN}")
             _require_rows(path, file.metadata, tiles)
-            names = [*_READ, *(name for name in (ZONE.name,) if name in file.schema_arrow.names)]
             for group in range(file.num_row_groups):
-                _require_memory(path, file.metadata, [group], names)
-                yield _arrays(file.read_row_group(group, columns=names, use_threads=False))
+                _require_memory(path, file.metadata, [group], _READ)
+                yield _arrays(file.read_row_group(group, columns=_READ, use_threads=False))
     except (OSError, pa.ArrowException) as error:
         raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
 
@@ -263,7 +261,5 @@ def _arrays(table: pa.Table) -> dict[str, NDArray[Any]]:
     whole = {name: table[name].to_numpy() for name in ("col", "row", "reason")}
     numbers = {name: table[name].to_numpy().astype(np.float32) for name in _PAGE_NUMBERS}
     classes = np.nan_to_num(table["class"].to_numpy(), nan=NO_CLASS).astype(np.uint8)
-    found = whole | numbers | {"class": classes, "barred": names[index]}
-    if ZONE.name in table.column_names:
-        found[ZONE.name] = np.nan_to_num(table[ZONE.name].to_numpy()).astype(np.int32)
-    return found
+    zone = np.nan_to_num(table["zone"].to_numpy()).astype(np.int32)
+    return whole | numbers | {"class": classes, "barred": names[index], "zone": zone}

@@ -38,7 +38,8 @@ DEGREE_DECIMALS, _METRE_DECIMALS = 7, 3
 def wgs84_transformer(placement: Placement) -> Transformer:
     """Return the transformer from the survey's CRS to WGS 84 longitude and latitude, tried on points of the raster.
 
-    Raises BadInputError: there is no CRS, or no known transformation from it to longitude and latitude at this place.
+    Raises BadInputError: there is no CRS, or no known transformation from it to longitude and latitude at this place;
+    or it lies across the antimeridian.
     """
     crs, window = placement.horizontal_crs, placement.window
     if crs is None:
@@ -58,29 +59,15 @@ def wgs84_transformer(placement: Placement) -> Transformer:
         np.linspace(window.col, window.col + window.cols, _TRIES),
         np.linspace(window.row, window.row + window.rows, _TRIES),
     )
-    if not np.isfinite(transformer.transform(placement.to_crs(cols.ravel()), placement.to_crs(rows.ravel()))).all():
+    degrees = transformer.transform(placement.to_crs(cols.ravel()), placement.to_crs(rows.ravel()))
+    if not np.isfinite(degrees).all():
         raise _outside(placement)
+    if np.ptp(degrees[0]) > 180.0:
+        raise BadInputError(
+            "the survey lies on both sides of the antimeridian, where longitudes jump from 180 to -180 degrees. Pass "
+            "`local=True` to write cost.geojson in the survey's own coordinates"
+        )
     return transformer
-
-
-class BoundingBox:
-    """Running bounding box of outlines."""
-
-    def __init__(self) -> None:
-        self._boxes = np.empty((0, 4))
-
-    def add(self, outlines: NDArray[np.object_]) -> None:
-        """Include outlines; those with x > 0 (east of Greenwich) are kept apart from the others."""
-        boxes = np.concatenate([self._boxes, shapely.bounds(shapely.get_parts(outlines))])
-        sides = [boxes[boxes[:, 0] > 0], boxes[boxes[:, 0] <= 0]]
-        self._boxes = np.array([[*side[:, :2].min(0), *side[:, 2:].max(0)] for side in sides if len(side)])
-
-    def bounds(self, *, in_degrees: bool) -> list[float]:
-        """Return west, south, east, north; in degrees, west exceeds east across the antimeridian (RFC 7946, 5.2)."""
-        west, south, east, north = *map(float, self._boxes[:, :2].min(0)), *map(float, self._boxes[:, 2:].max(0))
-        if in_degrees and west < -90.0 and east > 90.0 and len(self._boxes) == 2:
-            west, east = float(self._boxes[0, 0]), float(self._boxes[1, 2])
-        return [west, south, east, north]
 
 
 def _outside(placement: Placement) -> BadInputError:
@@ -88,28 +75,6 @@ def _outside(placement: Placement) -> BadInputError:
         f"the survey's coordinates lie outside the area where its CRS ({placement.horizontal_crs}) can be converted to "
         "longitude and latitude. Pass the right one with `force_crs='EPSG:CODE'`, or `local=True`"
     )
-
-
-def _cut_at_antimeridian(outlines: NDArray[np.object_]) -> NDArray[np.object_]:
-    bounds = shapely.bounds(outlines)
-    crossing = bounds[:, 2] - bounds[:, 0] > 180.0
-    if not crossing.any():
-        return outlines
-
-    def unwrap(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.column_stack([np.where(points[:, 0] < 0, points[:, 0] + 360.0, points[:, 0]), points[:, 1]])
-
-    whole = shapely.transform(outlines[crossing], unwrap)
-    west_side = shapely.intersection(whole, shapely.box(0.0, -90.0, 180.0, 90.0))
-    east_side = shapely.intersection(whole, shapely.box(180.0, -90.0, 360.0, 90.0))
-    west_side = shapely.transform(west_side, lambda points: points.round(DEGREE_DECIMALS))
-    east_side = shapely.transform(east_side, lambda points: (points - [360.0, 0.0]).round(DEGREE_DECIMALS))
-    cut = outlines.copy()
-    for place, sides in zip(np.flatnonzero(crossing), zip(west_side, east_side, strict=True), strict=True):
-        parts = shapely.get_parts(shapely.normalize(np.array(sides)))
-        # Without points and lines of outlines that only touch the antimeridian.
-        cut[place] = shapely.reverse(shapely.multipolygons(parts[shapely.area(parts) > 0]))
-    return cut
 
 
 _LOCAL = (
@@ -170,10 +135,9 @@ class GeoJsonCoordinates:
     def polygons(self, polygons: NDArray[np.object_]) -> NDArray[np.object_]:
         """Convert polygons (m,) in grid coordinates (1 = one tile), with sides along the sides of tiles, to these.
 
-        Own coordinates are rounded to 1 mm, degrees to 1 cm; rings in degrees are right-hand and cut at the
-        antimeridian, so that an outline may become a multipolygon. Polygons with the same vertices along their common
-        borders keep this property, on either side of the antimeridian. Raises BadInputError: a point cannot be
-        transformed to longitude and latitude.
+        Own coordinates are rounded to 1 mm, degrees to 1 cm; rings stay right-hand. Polygons with the same vertices
+        along their common borders keep this property. Raises BadInputError: a point cannot be transformed to longitude
+        and latitude.
         """
         place, to_degrees = self.placement, self.to_degrees
         if to_degrees is None:
@@ -192,7 +156,7 @@ class GeoJsonCoordinates:
         outlines: NDArray[np.object_] = shapely.transform(placed, move)
         if not np.isfinite(shapely.bounds(outlines)).all():
             raise _outside(place)
-        return _cut_at_antimeridian(outlines)
+        return outlines
 
     @property
     def has_degrees(self) -> bool:
@@ -248,14 +212,9 @@ def write_features(
     `feature`; ``about``: further members of the collection. Raises OutputError: the file cannot be written.
     """
     geometries = [each["geometry"] for each in features if each["geometry"] is not None]
-    box = BoundingBox()
-    box.add(np.array(geometries, object))
-    head = {"type": "FeatureCollection", "name": name, **place.members, **(about or {})}
-    collection = {
-        **head,
-        **({"bbox": box.bounds(in_degrees=place.has_degrees)} if geometries else {}),
-        "features": features,
-    }
+    collection = {"type": "FeatureCollection", "name": name, **place.members, **(about or {})}
+    collection |= {"bbox": shapely.total_bounds(geometries).tolist()} if geometries else {}
+    collection["features"] = features
     text = json.dumps(
         collection, ensure_ascii=False, allow_nan=False, separators=(",", ":"), default=shapely.geometry.mapping
     )
@@ -275,7 +234,7 @@ def geojson_writer(
     """
     head = {"type": "FeatureCollection", "name": "cost", **place.members, **(about or {})}
     encode = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode
-    box = BoundingBox()
+    boxes: list[NDArray[np.float64]] = []
     with atomic(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
         file.write(encode(head)[:-1])
         file.write(', "features": [')
@@ -284,7 +243,7 @@ def geojson_writer(
         def add(regions: Regions) -> None:
             nonlocal separator
             outlines, columns = place.polygons(regions.outlines), region_columns(regions)
-            box.add(outlines)
+            boxes.append(shapely.total_bounds(outlines))
             for number, geometry in enumerate(_geometries(outlines)):
                 properties = {name: values[number] for name, values in columns.items()}
                 head = {"type": "Feature", "id": properties["region"], "properties": properties}
@@ -292,23 +251,17 @@ def geojson_writer(
                 separator = ",\n"
 
         yield add
-        file.write(f'\n], "bbox": {encode(box.bounds(in_degrees=place.has_degrees))}}}\n')
+        low, high = np.min(boxes, axis=0)[:2], np.max(boxes, axis=0)[2:]
+        file.write(f'\n], "bbox": {encode([*low.tolist(), *high.tolist()])}}}\n')
 
 
 def _geometries(outlines: NDArray[np.object_]) -> Iterator[dict[str, Any]]:
-    """Yield polygons and multipolygons as GeoJSON; converting all at once takes a quarter of the time."""
-    parts, owner = shapely.get_parts(outlines, return_index=True)
-    _, coordinates, (ring, polygon) = shapely.to_ragged_array(parts)
-    points, ring, polygon = coordinates.tolist(), ring.tolist(), polygon.tolist()
+    """Yield polygons as GeoJSON; converting all at once takes a quarter of the time."""
+    _, coordinates, offsets = shapely.to_ragged_array(outlines)
+    points, (ring, polygon) = coordinates.tolist(), (offset.tolist() for offset in offsets)
     rings = [points[start:stop] for start, stop in pairwise(ring)]
-    polygons = [rings[start:stop] for start, stop in pairwise(polygon)]
-    first = np.searchsorted(owner, np.arange(len(outlines) + 1)).tolist()
-    single = shapely.get_type_id(outlines) == shapely.GeometryType.POLYGON
-    for is_polygon, (start, stop) in zip(single.tolist(), pairwise(first), strict=True):
-        if is_polygon:
-            yield {"type": "Polygon", "coordinates": polygons[start]}
-        else:
-            yield {"type": "MultiPolygon", "coordinates": polygons[start:stop]}
+    for start, stop in pairwise(polygon):
+        yield {"type": "Polygon", "coordinates": rings[start:stop]}
 
 
 @contextmanager

@@ -23,12 +23,11 @@ from bumpymap.core import (
     common_georeference,
     georeference,
     parse_crs,
-    place_notes,
     same_crs,
     stated_crs,
     statement_from_wkt,
-    utm_epsg,
 )
+from bumpymap.core.crs import place_notes, utm_epsg
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.types import Georeference
 

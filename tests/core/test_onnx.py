@@ -48,21 +48,6 @@ def test_a_run_leaves_no_file_and_says_nothing_where_it_shall_be_quiet(tmp_path,
     assert [path for path in home.rglob("*") if not path.is_dir()] == []
 
 
-@pytest.mark.slow
-def test_no_thread_is_left_that_could_send_something(home):
-    code = (
-        "import os, numpy\n"
-        "before = len(os.listdir('/proc/self/task'))\n"
-        "from bumpymap.core.onnx_file import session, shipped_network\n"
-        "session(shipped_network('rating', 'textures.onnx'))\n"
-        "print(len(os.listdir('/proc/self/task')) - before)"
-    )
-    if not Path("/proc/self/task").is_dir():
-        pytest.skip("threads are counted in /proc, which is Linux's")
-    done = subprocess.run([sys.executable, "-c", code], env=variables(home), capture_output=True, text=True, check=True)
-    assert done.stdout == "0\n"
-
-
 @pytest.mark.namespaces
 @pytest.mark.skipif(shutil.which("strace") is None, reason="needs strace")
 def test_a_run_without_a_network_never_asks_for_one(tmp_path, home):

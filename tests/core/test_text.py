@@ -1,14 +1,11 @@
 """Text for people and JSON of others: sentences, shares, tables for spreadsheets, URLs without keys, bounded depth."""
 
 import csv
-import json
-import shlex
-import sys
 
 import pytest
 from hypothesis import given, strategies as st
 
-from bumpymap.core import install_command, share_text, shares_text, write_csv
+from bumpymap.core import share_text, shares_text, write_csv
 from bumpymap.core.files import Each, Nullable, Number, parse_json, shape_fault
 
 
@@ -81,19 +78,3 @@ def test_the_first_fault_of_a_shape_is_named(value, fault):
 def test_what_is_deep_is_refused(depth, opening, closing):
     with pytest.raises(ValueError, match="more than 50 deep"):
         parse_json(opening * depth + "1" + closing * depth)
-
-
-@pytest.mark.parametrize("editable", [True, False])
-def test_an_extra_is_installed_from_where_the_package_came_into_this_environment(tmp_path, monkeypatch, editable):
-    checkout = tmp_path / "mein Büro"
-    origin = {"url": checkout.as_uri(), "dir_info": {"editable": editable}}
-    info = tmp_path / "site" / "bumpymap-9.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: bumpymap\nVersion: 9\n")
-    (info / "direct_url.json").write_text(json.dumps(origin))
-    monkeypatch.syspath_prepend(str(tmp_path / "site"))
-    assert shlex.split(install_command("sim").removesuffix(" in the folder of the repository"))[-1] == ".[sim]"
-    checkout.mkdir()
-    python, *words = shlex.split(install_command("sim"))
-    assert python == sys.executable
-    assert words == ["-m", "pip", "install", *["-e"] * editable, f"{checkout}[sim]"]

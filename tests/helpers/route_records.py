@@ -81,7 +81,7 @@ class MadeUpMap(TileMap):
     def objects(self, window, shape):
         return np.zeros(shape, np.uint8)
 
-    def passage_shown(self, window, shape):
+    def passage(self, window, shape):
         if self.fits is None:
             return np.ones(shape, bool)
         whole = np.zeros((window.rows * self.grid.pixels, window.cols * self.grid.pixels), bool)

@@ -21,7 +21,7 @@ from route_maps import copy_folder, list_anew, write_folder
 import bumpymap
 from bumpymap.core import NO_CLASS, NO_TILE, BadInputError
 from bumpymap.core.types import BANDS, BARRED_TEXT, REASON_TEXT, SIDES, TEXTURES, Barred, Reason
-from bumpymap.layers import MapSummary, ZoneCounts, open_map, tile_table
+from bumpymap.layers import ZoneCounts, open_map, tile_table
 from bumpymap.layers.manifest import summarise
 from bumpymap.layers.tile_table import write_tiles
 from bumpymap.views import write_report, zones_line
@@ -62,13 +62,11 @@ def test_every_tile_lies_where_it_was_measured(folder, made):
         assert np.isnan(getattr(field, name)[~held]).all()
 
 
-@pytest.mark.parametrize("piece", [7, 512])
-def test_a_window_is_a_piece_of_the_whole_also_beyond_the_map(folder, monkeypatch, piece):
+def test_a_window_is_a_piece_of_the_whole_also_beyond_the_map(folder):
     found = open_map(folder)
     whole = found.window
     around = TileWindow(whole.col - 7, whole.row - 5, whole.cols + 20, whole.rows + 9)
     field, heights, objects = found.read(around), found.heights(around), found.objects(around)
-    monkeypatch.setattr("bumpymap.layers.map_reader._PIECE", piece)  # read at once
     rng = np.random.default_rng(1)
     for _ in range(10):
         top, left = int(rng.integers(0, 40)), int(rng.integers(0, 60))
@@ -89,9 +87,9 @@ def test_passage_in_fewer_pixels(folder):
     whole = found.window
     around = TileWindow(whole.col - 2, whole.row - 1, whole.cols + 4, whole.rows + 3)
     fine = found.passage(around)
-    assert np.array_equal(found.passage_shown(around, fine.shape), fine)
+    assert np.array_equal(found.passage(around, fine.shape), fine)
     rows, cols = fine.shape[0] // 2, fine.shape[1] // 2
-    coarse = found.passage_shown(around, (rows, cols))
+    coarse = found.passage(around, (rows, cols))
     assert not (coarse & ~fine[: 2 * rows, : 2 * cols].reshape(rows, 2, cols, 2).any(axis=(1, 3))).any()
 
 
@@ -337,14 +335,6 @@ def test_what_hangs_together_is_counted_and_small_pieces_but_the_largest_are_isl
     assert alone.island_tiles == 0
     assert zones_line(alone, "%") == "100% of what can be crossed hangs together in one piece of 63 m²"
     assert zones_line(ZoneCounts.of(np.zeros(0, int), 0, 9.0)) == ""
-
-
-def test_an_earlier_map_opens_and_does_not_know_its_zones(folder, tmp_path):
-    counts = json.loads((folder / "run.json").read_text())["counts"]
-    del counts["zones"]
-    earlier = open_map(copy_folder(folder, tmp_path / "earlier", counts=counts))
-    assert MapSummary.of(counts).zones is None
-    assert earlier.zone_at(np.array([330_004.5, 2_040_004.5])) == 0
 
 
 def test_strips_do_not_change_the_summary(make_field, monkeypatch):

@@ -113,22 +113,6 @@ def test_a_side_that_is_straight_in_longitude_and_latitude_is_bent_on_the_grid(t
     assert not shapely.covers(found, points[1]).any()
 
 
-def test_a_map_across_the_antimeridian(tmp_path):
-    """Its middle lies at 180 degrees; areas come cut there, as RFC 7946 asks, or on one side of it."""
-    place = bare_map(TileWindow(100_500, 2_000_000, 2000, 100), crs=CRS.from_epsg(32601))
-    bounds = place.grid.window_bounds(place.window)
-    for east in (bounds.west + 30.0, bounds.east - 30.0):
-        middle = place.to_lonlat(east, bounds.south + 150.0)
-        (found,) = read_areas(geojson(tmp_path / "a.geojson", feature(shapely.Point(middle).buffer(1e-4))), place)
-        assert np.allclose(shapely.get_coordinates(found.centroid), [east, bounds.south + 150.0], atol=0.01)
-    world = shapely.box(-180.0, -90.0, 180.0, 90.0)
-    areas = read_areas(geojson(tmp_path / "b.geojson", feature(world)), place)
-    assert len(areas) == 2
-    assert tiles_in(areas, place.window, GRID).all()
-    halves = [tiles_in(areas[[side]], place.window, GRID, wholly=True) for side in (0, 1)]
-    assert (halves[0] ^ halves[1]).sum() > 0.998 * halves[0].size  # but for tiles on the line itself
-
-
 def test_areas_beside_the_map_are_an_error_that_names_them_unless_that_is_allowed(tmp_path, caplog):
     """A way leads through what an area in a wrong place was to close."""
     on, off = shapely.Point(SITE.to_lonlat(480_150.0, 2_136_120.0)).buffer(1e-4), shapely.Point(11.0, 48.0).buffer(1e-3)
@@ -238,8 +222,8 @@ def test_columns_of_a_csv(tmp_path, head, system, separator):
         ("a.geojson", "{", r"cannot read .*a\.geojson: .*\. Give"),
         ("a.geojson", '{"type": "FeatureCollection", "features": [5]}', "features.0 is '5'; it must be an object"),
         ("a.geojson", '{"type": "Feature", "crs": 5}', "crs is '5'; it must be an object with type, properties"),
-        ("a.geojson", '{"type": "Point", "coordinates": [1e999, 1]}', "feature 1 has a position that is no two numb"),
-        ("a.geojson", '{"type": "Polygon", "coordinates": [[[1, 2]]]}', "a Polygon of it is damaged"),
+        ("a.geojson", '{"type": "Point", "coordinates": [1e999, 1]}', "the Point of feature 1 is damaged"),
+        ("a.geojson", '{"type": "Polygon", "coordinates": [[[1, 2]]]}', "the Polygon of feature 1 is damaged"),
         ("a.gpx", '<gpx><wpt lat="1"/></gpx>', "a point of it is not a place: lat='1'"),
         ("a.gpx", "<kml><wpt lat='1' lon='2'/></kml>", "it is no GPX"),
     ],

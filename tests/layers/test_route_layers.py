@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import fields, replace
-from itertools import pairwise
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -146,28 +145,6 @@ def test_without_a_crs_files_say_what_their_coordinates_are_and_gpx_is_refused(t
     with pytest.raises(BadInputError, match="no CRS"):
         write_gpx(route, tmp_path / "route.gpx")
     assert not (tmp_path / "route.gpx").exists()
-
-
-def test_a_way_over_the_antimeridian_is_cut(tmp_path):
-    zone = CRS.from_epsg(32660)
-    east = Transformer.from_crs(CRS.from_epsg(4326), zone, always_xy=True)
-    corners = np.column_stack(east.transform([179.99, -179.98, 179.995, 180.0], [-17.0, -17.01, -17.02, -17.03]))
-    route = make_route(corners=corners, georeference=Georeference(zone))
-    collection = written(route, tmp_path / "route.geojson")
-    (line,) = lines_of(collection)
-    assert line["geometry"]["type"] == "MultiLineString"
-    parts = [np.array(part) for part in line["geometry"]["coordinates"]]
-    assert len(parts) == 3
-    assert all(np.abs(np.diff(part[:, 0])).max() < 1.0 for part in parts)
-    for before, after in pairwise(parts):
-        assert before[-1].tolist() == [-after[0, 0], after[0, 1]]
-        assert abs(before[-1, 0]) == 180.0
-    length = sum(Geod(ellps="WGS84").line_length(*part.T) for part in parts)
-    on_grid = np.hypot(*np.diff(corners, axis=0).T).sum()
-    assert length == pytest.approx(on_grid, rel=2e-3)  # the scale of the projection at the edge of its zone
-    assert collection["bbox"] == pytest.approx([179.99, -17.03, -179.98, -17.0], abs=1e-6)
-    write_gpx(route, tmp_path / "route.gpx")  # a point on the antimeridian is west of it
-    checked(tmp_path / "route.gpx")
 
 
 NAMESPACE = "{http://www.topografix.com/GPX/1/1}"

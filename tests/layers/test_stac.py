@@ -22,9 +22,9 @@ from route_maps import RUN
 from small_surveys import files_in
 
 from bumpymap.core.types import Georeference
-from bumpymap.layers import Placement, open_map, write_collection, write_products
+from bumpymap.layers import Placement, open_map, write_products
 from bumpymap.layers.products import PRODUCT_NAMES
-from bumpymap.layers.stac import write_item
+from bumpymap.layers.stac import write_collection, write_item
 from bumpymap.views import write_map_views
 
 SCHEMAS = Path(__file__).resolve().parents[1] / "layers" / "stac" / "schemas"

@@ -48,13 +48,6 @@ RING_BY_CORNERS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.uint8)
 BESIDE_A_LONG_SIDE = np.array([[1, 1, 1, 1], [2, 2, 3, 3], [0, 2, 3, 0]], np.uint8)
 
 
-def at_antimeridian(crs, latitude):
-    """Georeference and a tile at 180 degrees."""
-    georeference = Georeference(CRS.from_user_input(crs))
-    x, y = Transformer.from_crs(4326, georeference.crs, always_xy=True).transform(180.0, latitude)
-    return georeference, round(x / 3), round(y / 3)
-
-
 SITES = {
     # name: (georeference, west tile, south tile)
     "south": (Georeference(CRS.from_epsg(32719)), 166_666, 2_000_000),
@@ -62,10 +55,6 @@ SITES = {
     "northing_first": (Georeference(CRS.from_epsg(2193)), 530_000, 1_730_000),
     "far_north": (Georeference(CRS.from_epsg(32633)), 160_000, 2_920_000),
     "no_crs": (Georeference(None), -7, -5),
-    "antimeridian": at_antimeridian(32701, -17.0),
-    "far_south at the antimeridian": at_antimeridian(32760, -77.0),
-    # sides of tiles lie on it
-    "along the antimeridian": at_antimeridian("+proj=tmerc +lon_0=180 +k=0.9996 +datum=WGS84 +units=m", -17.0),
 }
 
 
@@ -112,18 +101,7 @@ def test_both_vectors_are_a_coverage_with_the_holes_of_the_tiles(make_map, site,
         west, north = made.patches.col.min() - col.min(), made.patches.row.max() + 1 + line.min()
         x, y = shapely.get_coordinates(outlines).T.astype(int)
         assert {*zip((north - y).tolist(), (x - west).tolist(), strict=True)} == vertices_by_hand(keys)
-    degrees = place.polygons(outlines)
-    assert shapely.is_valid(degrees).all()
-    parts = shapely.get_parts(degrees)
-    assert set(shapely.get_type_id(parts)) == {shapely.GeometryType.POLYGON}
-    if site == "no_crs":
-        check_coverage(parts, holes)
-        return
-    west, _, east, _ = shapely.bounds(parts).T
-    assert (east - west < 1.0).all()
-    sides = [parts[west >= 0], parts[west < 0]] if "antimeridian" in site else [parts]
-    for side in sides:
-        check_coverage(side, holes if len(side) == len(parts) else None)
+    check_coverage(place.polygons(outlines), holes)
 
 
 def areas_by_hand(cost_map):
@@ -231,24 +209,18 @@ def check_rfc7946(path):
     for feature in collection["features"]:
         assert (feature["type"], type(feature["properties"])) == ("Feature", dict)
         geometry = feature["geometry"]
-        assert set(geometry) == {"type", "coordinates"}
-        polygons = {"Polygon": [geometry["coordinates"]], "MultiPolygon": geometry["coordinates"]}[geometry["type"]]
-        assert all(ring[0] == ring[-1] for rings in polygons for ring in rings)
+        assert (set(geometry), geometry["type"]) == ({"type", "coordinates"}, "Polygon")
+        assert all(ring[0] == ring[-1] for ring in geometry["coordinates"])
         shape = shapely.geometry.shape(geometry)
         assert shape.is_valid
         assert not shape.has_z
-        for part in shapely.get_parts(shape):
-            assert part.exterior.is_ccw
-            assert not any(hole.is_ccw for hole in part.interiors)
-            assert np.ptp(part.exterior.xy[0]) < 180
+        assert shape.exterior.is_ccw
+        assert not any(hole.is_ccw for hole in shape.interiors)
         corners.append(shapely.get_coordinates(shape))
     corners = np.concatenate(corners)
     np.testing.assert_array_equal(corners, np.round(corners, 7))
     assert (np.abs(corners) <= [180, 90]).all()
-    lon, lat = corners.T
-    west, south, east, north = collection["bbox"]
-    assert (south, north) == (lat.min(), lat.max())
-    assert (west, east) == ((lon.min(), lon.max()) if west <= east else (lon[lon > 0].min(), lon[lon < 0].max()))
+    assert collection["bbox"] == [*corners.min(axis=0), *corners.max(axis=0)]
     return collection
 
 
@@ -323,18 +295,14 @@ def test_long_sides_follow_the_grid_on_the_globe(tmp_path, make_map):
     assert off[along].max() < 0.012  # m: the rounding to 7 decimals is 1 cm
 
 
-def test_antimeridian_is_cut(tmp_path, make_map):
-    place, middle, row = at_antimeridian(32701, -17.0)  # UTM zone 1 south, with Fiji
-    tiles = (np.arange(middle - 4, middle + 5), [row] * 9, [1] * 8 + [0], [0] * 9)
-    write_geojson(regions_of(make_map(*tiles, georeference=place, easy=True)), tmp_path / "cost.geojson", local=False)
-    collection = check_rfc7946(tmp_path / "cost.geojson")
-    assert [feature["geometry"]["type"] for feature in collection["features"]] == ["MultiPolygon", "Polygon"]
-    west, _, east, _ = collection["bbox"]
-    assert 179.99 < west < 180.0
-    assert -180.0 < east < -179.99
-    parts = shapely.geometry.shape(collection["features"][0]["geometry"]).geoms
-    tile = 3.0 / (111_320 * np.cos(np.radians(17.0)))
-    assert sum(np.ptp(part.exterior.xy[0]) for part in parts) == pytest.approx(8 * tile, rel=0.01)
+def test_across_the_antimeridian_only_local_coordinates_are_written(tmp_path, make_field):
+    place = Georeference(CRS.from_epsg(32701))
+    x, y = Transformer.from_crs(4326, place.crs, always_xy=True).transform(180.0, -17.0)
+    regions = regions_of(make_field(8, 6, west=round(x / 3) - 4, south=round(y / 3), georeference=place))
+    with pytest.raises(BadInputError, match=r"antimeridian.*`local=True`"):
+        write_geojson(regions, tmp_path / "cost.geojson", local=False)
+    write_geojson(regions, tmp_path / "cost.geojson", local=True)
+    assert geopandas.read_file(tmp_path / "cost.geojson").crs.equals(place.crs, ignore_axis_order=True)
 
 
 def test_without_crs_only_local_coordinates_are_written(tmp_path, make_field):

@@ -143,9 +143,9 @@ def _row(given: dict[str, str], folder: Path, wrong: list[str], check: Callable[
     for key, cell in given.items():
         value: Any = cell
         if get_origin(_KINDS[key]) is tuple:
-            value = [value_of_text(word) for word in cell.replace(",", " ").split()]
+            value = value_of_text(",".join(cell.replace(",", " ").split()), _KINDS[key])
         elif _KINDS[key] not in (str, Path, NameOrFile):
-            value = value_of_text(cell.lower() if _KINDS[key] is bool else cell)  # Excel writes TRUE
+            value = value_of_text(cell.lower() if _KINDS[key] is bool else cell, _KINDS[key])  # Excel writes TRUE
         own, more = parse_record({key: value}, MapConfig, folder)
         settings |= {} if more else own
         wrong += more

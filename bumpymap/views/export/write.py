@@ -56,7 +56,7 @@ def read_route_line(path: Path, *, through_obstacles: bool = False) -> tuple[NDA
 def _first_line(path: Path) -> tuple[NDArray[np.float64], float]:
     """Return the first line of a GeoJSON, its parts one after the other, and its length on obstacles, m."""
     for geometry, about in geojson_features(path)[0]:
-        if geometry["type"] in {"LineString", "MultiLineString"}:
+        if geometry.geom_type in {"LineString", "MultiLineString"}:
             touched = about.get("obstacle_m") or 0.0
             if fault := shape_fault(touched, Number(0.0), "obstacle_m"):
                 raise ValueError(fault)

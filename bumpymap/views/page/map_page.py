@@ -159,7 +159,7 @@ def write_map_page(site: Site, path: Path) -> None:
         seen=seen_sizes(site.record).sentence,
         surface_rows=[(name, f"{c_r:.3f}", degrees(c_r)) for name, c_r in real["c_r"].items()],
         warnings=_warnings_of(site.record),
-        zones=zones_line(site.summary.zones) if site.summary.zones else "",
+        zones=zones_line(site.summary.zones),
         way_heads=[f"{way.letter} {way.name}" for way in site.ways],
         ways=_ways(site),
         way_rows=_way_rows(site.ways),

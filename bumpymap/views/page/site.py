@@ -302,7 +302,7 @@ def _ways(path: Path, record: Mapping[str, Any]) -> Iterator[DrawnWay]:
 
     metres, profiles = map_metres(record), _read_profiles(path.with_name("profile.csv"))
     unit = float(record["metres_per_unit"]["horizontal"])
-    found = [each for each in geojson_features(path)[0] if each[0]["type"] in {"LineString", "MultiLineString"}]
+    found = [each for each in geojson_features(path)[0] if each[0].geom_type in {"LineString", "MultiLineString"}]
     for place, (geometry, about) in enumerate(found):
         if fault := shape_fault(about, _WAY_SHAPE):
             raise ValueError(fault)

@@ -269,7 +269,7 @@ class PageTiles:
     free: NDArray[np.int64]
     """(4,) passable tiles of each class."""
     islands: NDArray[np.bool_]
-    """True where ground that can be crossed is an island; nowhere on maps of earlier versions, which do not tell."""
+    """True where ground that can be crossed is an island."""
 
     @classmethod
     def read(cls, folder: Path, record: Mapping[str, Any], spot: Spot) -> Self:
@@ -297,8 +297,7 @@ class PageTiles:
             np.add.at(known, place, 1)
             passable = found["class"][found["barred"] == Barred.NO]
             free += np.bincount(passable, minlength=len(free))[: len(free)]
-            if "zone" in found:
-                np.maximum.at(zone, place, found["zone"])
+            np.maximum.at(zone, place, found["zone"])
             found["cost"] = rule.cost(found["c_r"].astype(np.float64), rule.hazard(found["p_fail"])).astype(np.float32)
             for name, canvas in numbers.items():
                 np.fmax.at(canvas, place, found[name])

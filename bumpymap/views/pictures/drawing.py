@@ -238,7 +238,7 @@ def paint_ground(source: "MapReader", view: MapView) -> tuple[Pixels, RideScale]
     barred, c_r, island = _sample(source, view)
     shape, place = _finest(view)
     window, tile = view.window(), view.grid.tile_size
-    fits = source.passage_shown(window, shape)[place]
+    fits = source.passage(window, shape)[place]
     passable = np.isin(barred, OPEN_THROUGH) & np.isfinite(c_r) & fits
     unknown = ~passable & np.isin(barred, CROSSING_UNKNOWN)
     obstacle = np.isin(source.objects(window, shape)[place], (OBSTACLE, STEP_LINE)) & ~unknown
