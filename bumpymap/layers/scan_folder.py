@@ -28,7 +28,6 @@ from bumpymap.core import (
     OutputError,
     Scan,
     parse_json,
-    point_classes,
     remove_path,
     sync_file,
     write_remedy,
@@ -70,15 +69,15 @@ def sector_states(classed: ClassedSectors) -> NDArray[np.int64]:
 def point_styles(classed: ClassedSectors) -> NDArray[np.uint8]:
     """Return the style of each point, (m,): an index into ``SCAN_COLOURS``.
 
-    Ground has the class of its sector; an obstacle is a point between belly and vehicle height above the ground;
-    everything else is of one style: overhead, low but not ground, without a class or a sector.
+    Ground has its class; an obstacle is a point between belly and vehicle height above the ground;
+    everything else is of one style: overhead, low but not ground, without a class.
     """
     stack, settings = classed.sectors, classed.sectors.settings
     with np.errstate(invalid="ignore"):
         stands = (stack.point_height >= settings.belly_m) & (stack.point_height <= settings.height_m)
     never = stack.point_ground | stack.point_airborne
     style = np.where(stands & ~never, np.uint8(OBSTACLE_POINT), np.uint8(OTHER_POINT))
-    own = np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE))[stack.point_sector]
+    own = classed.point_class
     return np.where(stack.point_ground & (own < CLASSES), own, style)
 
 
@@ -165,7 +164,7 @@ def report_frame(
     ``version``: ``size`` and ``mtime_ns`` of its file before it was read; not needed for a message. Raises
     BadInputError: the file is missing, or has changed since it was read.
     """
-    points = point_classes(scan, classed)
+    points = classed.point_class
     file: Mapping[str, Any]
     if frame.message is not None:
         file = {"bytes": frame.message.bytes, "sha256": None}

@@ -34,13 +34,13 @@ struct SquareCells {
 
 // A classified scan; arrays by sector have one row more, for points in none.
 struct ClassedPoints {
-    Array<const float, 2> points;               // (points, 3) m
-    Array<const bool> ground, airborne;         // (points,) whether it is ground; whether it is left out
-    Array<const float> height;                  // (points,) over the ground of its sector, m; NaN where none is known
-    Array<const std::int32_t> sector;           // (points,) row of its sector; -1 if it is in none
-    Array<const std::uint8_t> kind, bare_kind;  // of the ground of sectors; where nothing is `beside`
-    Array<const bool> drops;                    // whether the ground of sectors drops
-    Array<const double, 2> slope;               // (sectors + 1, 2) along x and y; the last one: of the whole ground
+    Array<const float, 2> points;        // (points, 3) m
+    Array<const bool> ground, airborne;  // (points,) whether it is ground; whether it is left out
+    Array<const float> height;           // (points,) over the ground of its sector, m; NaN where none is known
+    Array<const std::int32_t> sector;    // (points,) row of its sector; -1 if it is in none
+    Array<const std::uint8_t> kind;      // of the ground of sectors
+    Array<const bool> drops;             // whether the ground of sectors drops
+    Array<const double, 2> slope;        // (sectors + 1, 2) along x and y; the last one: of the whole ground
 
     // The row of a sector in arrays by sector: the last one for -1.
     Index row(Index sector_or_none) const { return sector_or_none < 0 ? kind.size() - 1 : sector_or_none; }
@@ -53,11 +53,10 @@ struct ClassedPoints {
 };
 
 struct CellRule {
-    double resolution;      // side of a cell, m
-    Index half;             // cells from the sensor to each side of the grid
-    double belly, height;   // lower objects and steps pass under a vehicle; objects from here on pass over it, m
-    Index beneath, beside;  // cells behind an object in which ground that is seen beneath it is not known to be free;
-                            // farthest cells that are beside one
+    double resolution;     // side of a cell, m
+    Index half;            // cells from the sensor to each side of the grid
+    double belly, height;  // lower objects and steps pass under a vehicle; objects from here on pass over it, m
+    Index beneath;         // cells behind an object in which ground that is seen beneath it is not known to be free
 
     Index side() const { return 2 * half; }
 };
@@ -76,7 +75,7 @@ constexpr std::int32_t unseen = -1, beneath_object = -2, falls = -3;
 struct Laying {
     Scratch<std::int32_t> cell;        // (points,) the cell of each; -1 outside
     Scratch<double> count, total;      // (cells,) number of ground points, and the sum of their z, m
-    Scratch<std::int32_t> objects;     // (cells,) twice the points of obstacles, one more if some are lower
+    Scratch<std::uint8_t> stands;      // (cells,) whether an obstacle stands there
     Scratch<std::uint8_t> has_others;  // (cells,) whether some points are not ground
     Scratch<double> level;             // (cells,) elevation of the ground, or the mean around it, m; or NaN
     Scratch<Returns> returns;          // by `slot_of`
@@ -87,7 +86,7 @@ struct Laying {
         : cell(scan.points.shape[0]),
           count(rule.side() * rule.side()),
           total(count.count()),
-          objects(count.count()),
+          stands(count.count()),
           has_others(count.count()),
           level(count.count()),
           returns(all_rays * rule.half),
@@ -177,14 +176,6 @@ void sort_into_cells(const ClassedPoints& scan, const CellRule& rule, const Squa
 
 // ---- The ground of cells, and objects on it ----
 
-// Calls `act` with each cell that is in the square around a cell, `wide` cells to each side, and in the grid.
-template <class Act>
-void around(Index cell, Index wide, Index side, Act act) {
-    const Index row = cell / side, column = cell % side;
-    for (Index r = std::max(row - wide, Index{0}); r < std::min(row + wide + 1, side); ++r)
-        for (Index c = std::max(column - wide, Index{0}); c < std::min(column + wide + 1, side); ++c) act(r * side + c);
-}
-
 // Finds the elevation of the ground in every cell, its steps, and the level from which objects are measured.
 void level_cells(const CellRule& rule, const SquareCells& out, Laying& s) {
     const Index side = rule.side();
@@ -206,11 +197,14 @@ void level_cells(const CellRule& rule, const SquareCells& out, Laying& s) {
             out.step[cell] = step;
         } else if (s.has_others[cell] != 0) {
             double height = 0.0, count = 0.0;
-            around(cell, 1, side, [&](Index other) {
-                if (!has_ground(other)) return;
-                count += 1.0;
-                height += out.elevation[other];
-            });
+            const Index row = cell / side, column = cell % side;
+            for (Index r = std::max(row - 1, Index{0}); r < std::min(row + 2, side); ++r) {
+                for (Index c = std::max(column - 1, Index{0}); c < std::min(column + 2, side); ++c) {
+                    if (!has_ground(r * side + c)) continue;
+                    count += 1.0;
+                    height += out.elevation[r * side + c];
+                }
+            }
             s.level[cell] = height / count;
         }
     }
@@ -222,27 +216,25 @@ void stand_objects(const ClassedPoints& scan, const CellRule& rule, const Square
     for (Index i = 0; i < scan.points.shape[0]; ++i) {
         const Index cell = s.cell[i];
         if (cell < 0 || scan.ground[i]) continue;
-        std::int32_t& objects = s.objects[cell];
         double h = scan.height[i];
         const double near = scan.points(i, 2) - s.level[cell];
         if (!(std::isnan(near) || (rule.belly <= h && h < rule.height))) h = near;
         if (std::isnan(h)) {
-            objects += 2;
+            s.stands[cell] = 1;
         } else if (h >= rule.height) {
             float& clearance = out.clearance[cell];
             const auto above = static_cast<float>(h);
             clearance = std::isnan(clearance) ? above : std::min(clearance, above);
         } else if (h >= rule.belly) {
-            objects += 2;
+            s.stands[cell] = 1;
             const auto top = static_cast<float>(h);
             const float tip = scan.points(i, 2);
             if (!(top <= out.top[cell]) || (top == out.top[cell] && tip > out.tip[cell])) {
                 out.top[cell] = top;
                 out.tip[cell] = tip;
             }
-        } else {
-            objects |= 1;
-            if (h > -rule.belly && !(s.count[cell] > 0.0)) meet(out.sector[cell], scan.sector[i]);
+        } else if (h > -rule.belly && !(s.count[cell] > 0.0)) {
+            meet(out.sector[cell], scan.sector[i]);
         }
     }
 }
@@ -365,15 +357,8 @@ void judge_cell(
     if (beneath > seen) out.sector[cell] = -1;
     const Index of = scan.row(out.sector[cell]);
     drops |= scan.drops[of] && s.has_fallen[of] == 0;
-    const bool stops = s.objects[cell] > 1 || drops || out.step[cell] > rule.belly;
-    std::uint8_t kind = scan.kind[of];
-    if (stops) kind = static_cast<std::uint8_t>(scan.kind[scan.row(-1)] - 1);
-    if (kind == scan.kind[of] && kind != scan.bare_kind[of]) {
-        bool is_bare = true;  // nothing beside the cell, or in it, is lower than the vehicle and not ground
-        around(cell, rule.beside, rule.side(), [&](Index other) { is_bare = is_bare && s.objects[other] <= 0; });
-        if (is_bare) kind = scan.bare_kind[of];
-    }
-    out.kind[cell] = kind;
+    const bool stops = s.stands[cell] != 0 || drops || out.step[cell] > rule.belly;
+    out.kind[cell] = stops ? static_cast<std::uint8_t>(scan.kind[scan.row(-1)] - 1) : scan.kind[of];
 }
 
 // Finds the ground of every cell, the objects on it and over it, and its kind. `out` comes as it is without a
@@ -396,7 +381,7 @@ void lay_cells(ClassedPoints scan, CellRule rule, Array<const std::int32_t, 2> r
 }  // namespace bumpy
 
 BUMPY_RECORD(bumpy::SquareCells, kind, sector, elevation, step, top, clearance, tip)
-BUMPY_RECORD(bumpy::ClassedPoints, points, ground, airborne, height, sector, kind, bare_kind, drops, slope)
-BUMPY_RECORD(bumpy::CellRule, resolution, half, belly, height, beneath, beside)
+BUMPY_RECORD(bumpy::ClassedPoints, points, ground, airborne, height, sector, kind, drops, slope)
+BUMPY_RECORD(bumpy::CellRule, resolution, half, belly, height, beneath)
 
 BUMPY_LOOPS(cells, lay_cells)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CLASSES, FAIL_SHARE, NOT_TRAVERSABLE, ClassedSectors, GridSettings, GroundGrid, loops
 from bumpymap.scan.align import judge_by_view
-from bumpymap.scan.ground import median, open_neighbours
+from bumpymap.scan.ground import median
+from bumpymap.scan.places import classes_at, places_of
 
 _OCCUPANCY = np.array([0, 33, 66, 100, -1], np.int8)
 """Occupancy of ground of class 0 (smooth), 1 (fair) and 2 (rough), of what is not traversable, and of the unknown."""
@@ -18,8 +19,6 @@ _MOST_COST = 98
 """Occupancy of ground from the upper limit of C_r on: Nav2 takes 99 for the edge of an obstacle."""
 _BENEATH_M = 2.0
 """Depth behind the side of an object in which ground seen beneath it is not known to be free, m: half a car."""
-_BESIDE_M = 0.5
-"""Distance up to which objects stand beside the ground of a cell, m (chosen)."""
 
 
 RAYS = 180
@@ -84,7 +83,6 @@ def see_cells(
     if classed.ride is not None:
         c_r[:-1], limits = classed.ride.c_r, classed.ride.limits
         kinds[:-1][classed.ride.p_fail >= FAIL_SHARE] = CLASSES
-    bare_kinds = _kinds_between_objects(classed, kinds)
     slope = np.zeros((len(kinds), 2))
     level = np.flatnonzero(stack.traversable)
     slope[level] = -normal[level, :2] / normal[level, 2:]
@@ -101,7 +99,6 @@ def see_cells(
         "height": stack.point_height,
         "sector": stack.point_sector,
         "kind": kinds,
-        "bare_kind": bare_kinds,
         "drops": np.append(stack.drop, np.False_),
         "slope": slope,
     }
@@ -111,13 +108,19 @@ def see_cells(
         "belly": stack.settings.belly_m,
         "height": stack.settings.height_m,
         "beneath": round(_BENEATH_M / settings.resolution_m),
-        "beside": round(_BESIDE_M / settings.resolution_m),
     }
     loops.lay_cells(scan, rule, _rays_of(half), out)
     if classed.ride is not None:
         layers[-1] = c_r[sector]
     class_id = np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE)).take(sector, mode="wrap")
-    np.copyto(class_id, kind, where=kind < CLASSES)
+    known = np.flatnonzero(class_id < CLASSES)
+    row, column = np.divmod(known, side)
+    places = settings.resolution_m * (np.column_stack([column, row]) + (0.5 - half))
+    if pose is not None:
+        places = np.einsum("ka,ab->kb", places - shift, pose[:2, :2])
+    found = classes_at(places_of(places, stack.settings), classed.field)
+    class_id[known] = np.where(found < CLASSES, found, class_id[known])
+    np.copyto(kind, class_id, where=kind < CLASSES)
     return SeenCells(
         kind.reshape(side, side),
         class_id.reshape(side, side),
@@ -125,17 +128,6 @@ def see_cells(
         0.5 * (stack.settings.belly_m + stack.settings.height_m),
         limits,
     )
-
-
-def _kinds_between_objects(classed: ClassedSectors, kinds: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the kinds of sectors (n + 1,) where nothing stands: of rough ones full of objects, of open ones around."""
-    is_open, near = open_neighbours(classed.sectors)
-    full = np.flatnonzero((kinds[:-1] == CLASSES - 1) & ~is_open)
-    around = np.sort(kinds[near[full]], axis=1)
-    count = (near[full] < len(is_open)).sum(axis=1)
-    found = kinds.copy()
-    found[full] = np.minimum(kinds[full], around[np.arange(len(full)), count // 2])
-    return found
 
 
 def _cell_of(pose: NDArray[np.float64], cell_m: float) -> NDArray[np.int64]:

@@ -30,8 +30,11 @@ struct BinRings {
 
     std::int32_t of(double r2) const { return std::max((bits(r2) >> shift) - first, 0); }
 
-    // The place between rings of a squared distance, and the distance [m] of a place.
+    // The place between rings of a squared distance, as a number and in `bin_parts`; and the distance [m] of a place.
     double place(double r2) const { return (bits(r2) - (first << shift)) / static_cast<double>(1 << shift); }
+    std::int32_t parts(double r2) const {
+        return std::max(bits(r2) - (first << shift), 0) / ((1 << shift) / bin_parts);
+    }
     double distance(double place) const {
         const auto whole = static_cast<std::int32_t>(std::max(place, 0.0) * (1 << shift)) + (first << shift);
         return std::sqrt(static_cast<double>(std::bit_cast<float>(whole)));
