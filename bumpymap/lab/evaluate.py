@@ -266,7 +266,7 @@ def evaluate_scans(
                 obstacles.setdefault(name, Counter()).update(obstacle_score(scan, own, labels))
         deviations.append(z_deviation(scan, stack))
         bare = replace(stack, **{name: getattr(stack, name)[:0] for name in _OF_POINTS})  # saves memory
-        nothing = {"sectors": bare, "field": bare.places, "point_class": np.empty(0, np.uint8)}
+        nothing: dict[str, Any] = {"sectors": bare, "field": bare.places, "point_class": np.empty(0, np.uint8)}
         classed.append({name: replace(own, **nothing) for name, own in found.items()})
         progress.advance(1)
     table = join_sectors(classed, deviations, labels) if classed else None

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CLASSES, FAIL_SHARE, NOT_TRAVERSABLE, ClassedSectors, GridSettings, GroundGrid, loops
 from bumpymap.scan.align import judge_by_view
-from bumpymap.scan.ground import median
-from bumpymap.scan.places import classes_at, places_of
+from bumpymap.scan.ground import ZoneGrid, median
+from bumpymap.scan.places import class_field
 
 _OCCUPANCY = np.array([0, 33, 66, 100, -1], np.int8)
 """Occupancy of ground of class 0 (smooth), 1 (fair) and 2 (rough), of what is not traversable, and of the unknown."""
@@ -67,16 +67,17 @@ def see_cells(
     ``pose`` (4, 4): from the sensor to the frame whose axes and multiples of whole cells count, m; heights are over the
     sensor.
     """
-    stack, normal = classed.sectors, classed.sectors.normal
+    stack, normal, cell_m = classed.sectors, classed.sectors.normal, settings.resolution_m
+    back, shift = np.eye(2), np.zeros(2)
     if pose is not None:
-        turn, cell_m = pose[:3, :3].astype(np.float32), settings.resolution_m
+        turn, back = pose[:3, :3].astype(np.float32), pose[:2, :2].T.copy()
         shift = pose[:2, 3] - cell_m * _cell_of(pose, cell_m)
         x, y, z = np.ascontiguousarray(points.T)
         points = np.empty_like(points)  # without a product of matrices, whose library would start threads
         for axis, offset in enumerate((*shift.astype(np.float32), np.float32(0.0))):
             points[:, axis] = turn[axis, 0] * x + turn[axis, 1] * y + turn[axis, 2] * z + offset
         normal = normal @ turn.T
-    half = math.ceil(settings.reach_m / settings.resolution_m - 1e-9)
+    half = math.ceil(settings.reach_m / cell_m - 1e-9)
     side, cells = 2 * half, 4 * half * half
     kinds = np.append(np.minimum(classed.class_id, CLASSES), np.uint8(CLASSES + 1))
     c_r, limits = np.full(len(kinds), np.nan, np.float32), np.empty(0, np.float32)
@@ -89,9 +90,9 @@ def see_cells(
     if len(level):
         slope[-1] = median(slope[level])
     layers = np.full((6, cells), np.nan, np.float32)
-    kind, sector = np.empty(cells, np.uint8), np.full(cells, -1, np.int32)
+    kind, class_id, sector = *np.empty((2, cells), np.uint8), np.full(cells, -1, np.int32)
     names = ("elevation", "step", "top", "clearance", "tip")
-    out = {"kind": kind, "sector": sector, **dict(zip(names, layers, strict=False))}
+    out = {"kind": kind, "class_id": class_id, "sector": sector, **dict(zip(names, layers, strict=False))}
     scan = {
         "points": np.ascontiguousarray(points, np.float32),
         "ground": stack.point_ground,
@@ -99,28 +100,21 @@ def see_cells(
         "height": stack.point_height,
         "sector": stack.point_sector,
         "kind": kinds,
+        "class_id": np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE)),
         "drops": np.append(stack.drop, np.False_),
         "slope": slope,
     }
     rule = {
-        "resolution": settings.resolution_m,
+        "resolution": cell_m,
         "half": half,
         "belly": stack.settings.belly_m,
         "height": stack.settings.height_m,
-        "beneath": round(_BENEATH_M / settings.resolution_m),
+        "beneath": round(_BENEATH_M / cell_m),
+        "to_sensor": np.column_stack([cell_m * back, back @ (-half * cell_m - shift)]),
     }
-    loops.lay_cells(scan, rule, _rays_of(half), out)
+    loops.lay_cells(scan, ZoneGrid.of(stack.settings), class_field(classed.field), rule, _rays_of(half), out)
     if classed.ride is not None:
         layers[-1] = c_r[sector]
-    class_id = np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE)).take(sector, mode="wrap")
-    known = np.flatnonzero(class_id < CLASSES)
-    row, column = np.divmod(known, side)
-    places = settings.resolution_m * (np.column_stack([column, row]) + (0.5 - half))
-    if pose is not None:
-        places = np.einsum("ka,ab->kb", places - shift, pose[:2, :2])
-    found = classes_at(places_of(places, stack.settings), classed.field)
-    class_id[known] = np.where(found < CLASSES, found, class_id[known])
-    np.copyto(kind, class_id, where=kind < CLASSES)
     return SeenCells(
         kind.reshape(side, side),
         class_id.reshape(side, side),

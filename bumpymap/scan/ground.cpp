@@ -376,18 +376,6 @@ Index count_bins(ZoneGrid grid) { return BinRings(grid).count * bin_columns; }
 
 // ---- Classes of places ----
 
-// Finds the places of points (n, 2), m, in bins.
-void find_places(Array<const double, 2> points, ZoneGrid grid, Array<std::uint16_t, 2> place) {
-    const BinRings rings(grid);
-    for (Index i = 0; i < points.shape[0]; ++i) {
-        const double x = points(i, 0), y = points(i, 1), square = x * x + y * y;
-        const double near = grid.edges[0], far = grid.edges[grid.sectors.size()];
-        const bool inside = near * near <= square && square < far * far;
-        place(i, 0) = inside ? static_cast<std::uint16_t>(rings.parts(square)) : no_place;
-        place(i, 1) = static_cast<std::uint16_t>(full_turn(turn_of(x, y)) * (bin_columns * bin_parts));
-    }
-}
-
 // Writes what a linear function of the measures says of each class into `field` (bins, classes + 1), and the ground
 // points about the bins into its last column. `slopes`: (measures + 1, classes), the last ones: of one.
 void spread_classes(Array<const float, 2> places, Array<const double, 2> slopes, Array<float, 2> field) {
@@ -402,34 +390,10 @@ void spread_classes(Array<const float, 2> places, Array<const double, 2> slopes,
     }
 }
 
-// Finds the class with the most of what `field` (bins, classes + 1) says at each place, between the middles of bins;
-// `unknown` where its last column, the ground points about the bin, is less than `least`.
-void find_classes(
-    Array<const std::uint16_t, 2> place, Array<const float, 2> field, double least, std::uint8_t unknown,
-    Array<std::uint8_t> class_id) {
-    constexpr std::size_t columns = 4;  // three classes and the ground
-    const Index rings = field.shape[0] / bin_columns;
-    for (Index i = 0; i < class_id.size(); ++i) {
-        class_id[i] = unknown;
-        if (place(i, 0) == no_place) continue;
-        const Index from = std::max(place(i, 0) - bin_parts / 2, 0), around = place(i, 1) + bin_columns * bin_parts;
-        const Index ring = from / bin_parts, column = (around - bin_parts / 2) / bin_parts;
-        const auto outwards = static_cast<float>(from - ring * bin_parts) * (1.0F / bin_parts);
-        const auto across = static_cast<float>((around - bin_parts / 2) % bin_parts) * (1.0F / bin_parts);
-        const float* near = &field(ring * bin_columns, 0);
-        const float* far = &field(std::min(ring + 1, rings - 1) * bin_columns, 0);
-        const Index left = column % bin_columns * columns, right = (column + 1) % bin_columns * columns;
-        std::array<float, columns> found;
-        for (std::size_t k = 0; k < columns; ++k) {
-            const auto between = [&](const float* row) {
-                return row[left + k] + across * (row[right + k] - row[left + k]);
-            };
-            const float inner = between(near);
-            found[k] = inner + outwards * (between(far) - inner);
-        }
-        if (found[3] < least) continue;
-        class_id[i] = static_cast<std::uint8_t>(std::max_element(found.begin(), found.begin() + 3) - found.begin());
-    }
+// Finds the classes at the places of points.
+void find_classes(Array<const std::uint16_t, 2> place, ClassField field, Array<std::uint8_t> class_id) {
+    for (Index i = 0; i < class_id.size(); ++i)
+        class_id[i] = place(i, 0) == no_place ? field.unknown : field.at(place(i, 0), place(i, 1));
 }
 
 // ---- Drops ----
@@ -512,4 +476,4 @@ BUMPY_RECORD(
     surface, whole, places, measures)
 BUMPY_RECORD(bumpy::DropRule, least, slope, below, whole, directions)
 
-BUMPY_LOOPS(ground, find_ground, find_drops, count_bins, find_places, spread_classes, find_classes)
+BUMPY_LOOPS(ground, find_ground, find_drops, count_bins, spread_classes, find_classes)

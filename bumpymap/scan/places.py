@@ -6,11 +6,12 @@ functions of the means of these measures, by least squares over the frame; the f
 place. Hundreds of sectors decide together, and a single one moves no border.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, PolarSettings, ScanMethod, SectorStack, loops
-from bumpymap.scan.ground import ZoneGrid
+from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, ScanMethod, SectorStack, loops
 
 _PULL = 10.0
 """Sectors that would say the mean of all, whatever is measured there: where few were measured, they decide (chosen)."""
@@ -33,22 +34,15 @@ def with_places(
     if len(known):
         says = np.eye(CLASSES)[class_id[known]] if probability is None else probability[known]
         loops.spread_classes(stack.places, _fit(stack.measures[known], says, np.sqrt(stack.count[known])), field)
+    point_class = np.empty(len(stack.point_place), np.uint8)
+    loops.find_classes(stack.point_place, class_field(field), point_class)
     confidence = None if probability is None else probability.max(axis=1)
-    return ClassedSectors(stack, class_id, stripes, method, field, classes_at(stack.point_place, field), confidence)
+    return ClassedSectors(stack, class_id, stripes, method, field, point_class, confidence)
 
 
-def places_of(points: NDArray[np.float64], settings: PolarSettings) -> NDArray[np.uint16]:
-    """Return the places (k, 2), as ``point_place``, of points (k, 2) in the frame of a sensor, m."""
-    place = np.empty((len(points), 2), np.uint16)
-    loops.find_places(points, ZoneGrid.of(settings), place)
-    return place
-
-
-def classes_at(place: NDArray[np.uint16], field: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return the class (k,) at places (k, 2), as ``point_place``; ``NOT_TRAVERSABLE`` where no ground is known."""
-    class_id = np.empty(len(place), np.uint8)
-    loops.find_classes(place, field, _LEAST_GROUND, NOT_TRAVERSABLE, class_id)
-    return class_id
+def class_field(field: NDArray[np.float32]) -> dict[str, Any]:
+    """Return the field of a frame, as the loops read it."""
+    return {"says": field, "least": _LEAST_GROUND, "unknown": NOT_TRAVERSABLE}
 
 
 def _fit(measures: NDArray[np.float64], says: NDArray[np.floating], weight: NDArray[np.float64]) -> NDArray[np.float64]:

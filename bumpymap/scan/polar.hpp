@@ -45,8 +45,7 @@ struct CellPoints {
     Array<std::int32_t> pixel, bin;
 };
 
-// Places in bins outwards and around (surface.hpp) are counted in parts of a bin; that of a point outside of the grid.
-constexpr std::int32_t bin_parts = 256;
+// The place in bins (surface.hpp) of a point outside of the grid.
 constexpr std::uint16_t no_place = 65535;
 
 // A number rounded to a multiple of 2^-28: sums of such terms are exact below 2^25, so that the order of the points of
