@@ -144,23 +144,25 @@ constexpr double usual_spread = 0.03, usual_points = 0.5;
 constexpr std::size_t place_measures = 7;
 
 // Adds to every bin half of those beside it, outwards and around; the sum of the weights is one.
-void smooth(Scratch<PlaceSums>& places) {
+template <class Values>
+void smooth(Scratch<Values>& places) {
     const Index rings = places.count() / bin_columns;
-    std::array<PlaceSums, bin_columns + 2> row;  // a bin at each end stands for the one at the other
-    const Scratch<PlaceSums> before = places;
+    std::array<Values, bin_columns + 2> row;  // a bin at each end stands for the one at the other
+    const Scratch<Values> before = places;
+    const Values nothing{};
     for (Index ring = 0; ring < rings; ++ring) {
-        const PlaceSums nothing{};
         for (Index column = 0; column < bin_columns; ++column) {
             const Index bin = ring * bin_columns + column;
-            const PlaceSums& inner = ring > 0 ? before[bin - bin_columns] : nothing;
-            const PlaceSums& outer = ring + 1 < rings ? before[bin + bin_columns] : nothing;
-            PlaceSums& out = row[static_cast<std::size_t>(column + 1)];
-            for (std::size_t k = 0; k < place_sums; ++k) out[k] = 0.5 * before[bin][k] + 0.25 * (inner[k] + outer[k]);
+            const Values& inner = ring > 0 ? before[bin - bin_columns] : nothing;
+            const Values& outer = ring + 1 < rings ? before[bin + bin_columns] : nothing;
+            Values& out = row[static_cast<std::size_t>(column + 1)];
+            for (std::size_t k = 0; k < nothing.size(); ++k)
+                out[k] = 0.5 * before[bin][k] + 0.25 * (inner[k] + outer[k]);
         }
         row.front() = row[bin_columns];
         row.back() = row[1];
         for (std::size_t column = 1; column <= bin_columns; ++column)
-            for (std::size_t k = 0; k < place_sums; ++k)
+            for (std::size_t k = 0; k < nothing.size(); ++k)
                 places[ring * bin_columns + static_cast<Index>(column) - 1][k] =
                     0.5 * row[column][k] + 0.25 * (row[column - 1][k] + row[column + 1][k]);
     }
@@ -173,8 +175,10 @@ double about_log2(double x) { return BinRings::bits(x) / static_cast<double>(1 <
 // the spread of the ground, the number of points, the distance; last, and not one of them, the ground points about it.
 void measure_places(Scratch<PlaceSums>& places, Array<float, 2> out) {
     smooth(places);
+    Scratch<std::array<double, 1>> ground_about(places.count());
     for (Index bin = 0; bin < places.count(); ++bin) {
         const PlaceSums& of = places[bin];
+        ground_about[bin][0] = of[ground_points];
         const double ground = of[ground_points], all = ground + of[low] + of[standing] + of[over] + 1e-3;
         const double scatter = std::max(of[squares] - of[sum] * of[sum] / (ground + 1e-3), 0.0);
         const double variance = (scatter + usual_points * usual_spread * usual_spread) / (ground + usual_points) + 1e-6;
@@ -189,19 +193,19 @@ void measure_places(Scratch<PlaceSums>& places, Array<float, 2> out) {
         for (std::size_t k = 0; k < place_measures; ++k)
             out(bin, static_cast<Index>(k)) = static_cast<float>(measures[k]);
     }
-    smooth(places);
+    smooth(ground_about);
     for (Index bin = 0; bin < places.count(); ++bin)
-        out(bin, place_measures) = static_cast<float>(places[bin][ground_points]);
+        out(bin, place_measures) = static_cast<float>(ground_about[bin][0]);
 }
 
 // Writes the means of the measures over the points of each cell.
 void measure_cells(const CellPoints& points, Array<const float, 2> places, Array<double, 2> out) {
     for (Index cell = 0; cell < out.shape[0]; ++cell) {
-        std::array<double, place_measures> sums{};
+        std::array<double, place_measures + 1> sums{};  // the ground points too: eight are as fast as seven
         const Index begin = points.starts[cell], end = points.starts[cell + 1];
         for (Index i = begin; i < end; ++i) {
             const float* of = &places(points.bin[i], 0);
-            for (std::size_t k = 0; k < place_measures; ++k) sums[k] += exact(of[k]);
+            for (std::size_t k = 0; k < sums.size(); ++k) sums[k] += exact(of[k]);
         }
         for (std::size_t k = 0; k < place_measures; ++k)
             out(cell, static_cast<Index>(k)) = sums[k] / static_cast<double>(std::max(end - begin, Index{1}));
