@@ -16,7 +16,7 @@ from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, ScanMethod, 
 _PULL = 10.0
 """Sectors that would say the mean of all, whatever is measured there: where few were measured, they decide (chosen)."""
 _LEAST_SPREAD = 0.02
-"""What a measure differs by from sector to sector without a meaning (chosen)."""
+"""Spread of a measure over the sectors that means nothing (chosen)."""
 _LEAST_GROUND = 0.004
 """Least weight of the ground points about a place whose ground is known: of one that is two bins away (chosen)."""
 

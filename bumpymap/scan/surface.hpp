@@ -52,7 +52,7 @@ void around_bin(Index bin, Index wide, Index rings, Act act) {
             if ((r != ring || c != column) && !act(r * bin_columns + ((c + bin_columns) % bin_columns))) return;
 }
 
-// What a frame says of the ground in its bins (places.py).
+// Classes of the ground in the bins of a frame (places.py).
 struct ClassField {
     Array<const float, 2> says;  // (bins, classes + 1) a number for each class, and the ground points about the bin
     double least;                // of these points, where the ground is known
