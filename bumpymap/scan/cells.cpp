@@ -26,7 +26,7 @@ constexpr float nothing = std::numeric_limits<float>::infinity();
 struct SquareCells {
     Array<std::uint8_t> kind;      // class of the ground; one more than the last where a vehicle cannot go, and one
                                    // more where unknown
-    Array<std::uint8_t> class_id;  // of the ground, whatever stands on it
+    Array<std::uint8_t> class_id;  // of the ground, beneath objects too
     Array<std::int32_t> sector;    // row of the sector whose ground is known in the cell; -1 without any
     Array<float> elevation, step;  // mean z of the ground points; largest difference from a cell beside it, m
     Array<float> top, clearance;   // of an obstacle, and lowest point that a vehicle passes under, over the ground, m
