@@ -202,7 +202,6 @@ from .scan_types import (
     SectorStack as SectorStack,
     cell_numbers as cell_numbers,
     first_cells as first_cells,
-    point_classes as point_classes,
     sector_bounds as sector_bounds,
 )
 from .seen_sizes import (

@@ -223,6 +223,14 @@ class SectorStack:
     objects: NDArray[np.float32]
     """(n, 2, pixels, pixels) of the points that are not ground and not higher above it than twice ``height_m``: the
     highest in each pixel, m, and their number; zeros where there are none."""
+    measures: NDArray[np.float64]
+    """(n, 7) means over the points of what ``places`` say where they are."""
+    places: NDArray[np.float32]
+    """(bins, 8) measures of small bins around the sensor, and of those about them, wherever sectors lie, and the number
+    of ground points there: see ``scan/ground.cpp``."""
+    point_place: NDArray[np.uint16]
+    """(m, 2) place of each point of the scan in those bins, outwards and around, in 256ths of a bin; outwards 65535
+    beyond the grid."""
     point_sector: NDArray[np.int32]
     """(m,) row of the sector that holds each point of the scan; -1 if none does."""
     point_ground: NDArray[np.bool_]
@@ -234,7 +242,7 @@ class SectorStack:
 
     def __post_init__(self) -> None:
         count = len(self.zone)
-        for field in fields(self)[3:-4]:
+        for field in fields(self)[3:-6]:
             if len(getattr(self, field.name)) != count:
                 raise ValueError(f"{field.name} has {len(getattr(self, field.name))} rows; the stack has {count}")
 
@@ -277,6 +285,10 @@ class ClassedSectors:
     """(n,) stripe count of the filter method; None from the learned one."""
     method: ScanMethod
     """Method that classified the sectors."""
+    field: NDArray[np.float32]
+    """(bins, CLASSES + 1) the class of the ground in the bins of ``sectors.places``: see ``scan/places.py``."""
+    point_class: NDArray[np.uint8]
+    """(m,) class of the ground at each point of the scan; ``NOT_TRAVERSABLE`` where none is known."""
     confidence: NDArray[np.float32] | None = None
     """(n,) class probability from the learned method, NaN if not traversable; None from the filter method."""
     ride: SectorRide | None = None
@@ -304,7 +316,7 @@ class GroundGrid:
     nothing is known: neither ground nor an obstacle was seen, and more than the belly's height of what may stand there
     is hidden from the sensor."""
     class_id: NDArray[np.uint8]
-    """Class of the ground of the cell's sector; ``NOT_TRAVERSABLE`` also where no ground is known."""
+    """Class of the ground; ``NOT_TRAVERSABLE`` also where none is known."""
     elevation: NDArray[np.float32]
     """Mean z of the ground points in the cell, m, in the frame of the cells."""
     step: NDArray[np.float32]
@@ -352,19 +364,6 @@ class GroundGrid:
         grid.info.origin.orientation.w = 1.0
         grid.data = array("b", self.occupancy.tobytes())
         return message
-
-
-def point_classes(scan: Scan, classed: ClassedSectors) -> NDArray[np.uint8]:
-    """Return the class of each point: that of its sector.
-
-    Returns (m,) uint8: 0 to 2; ``NOT_TRAVERSABLE`` if the sector is not traversable, or no sector holds the point.
-    """
-    place = classed.sectors.point_sector
-    if len(place) != len(scan.points):
-        raise ValueError(f"the sectors are those of a scan of {len(place)} points; this one has {len(scan.points)}")
-    padded = np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE))
-    class_id: NDArray[np.uint8] = padded.take(place, mode="wrap")
-    return class_id
 
 
 @dataclass(frozen=True, slots=True)

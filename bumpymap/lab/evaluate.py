@@ -43,7 +43,7 @@ _LIMITS = 40
 """Number of limits that are tried."""
 _LOOKED_AT = 20
 """Number of frames whose labels decide of which set they are."""
-_OF_POINTS = ("point_sector", "point_ground", "point_airborne", "point_height")
+_OF_POINTS = ("places", "point_place", "point_sector", "point_ground", "point_airborne", "point_height")
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,7 +269,8 @@ def evaluate_scans(
                 obstacles.setdefault(name, Counter()).update(obstacle_score(scan, found[name], labels))
         deviations.append(z_deviation(scan, stack))
         bare = replace(stack, **{name: getattr(stack, name)[:0] for name in _OF_POINTS})  # saves memory
-        classed.append({name: replace(own, sectors=bare) for name, own in found.items()})
+        nothing: dict[str, Any] = {"sectors": bare, "field": bare.places, "point_class": np.empty(0, np.uint8)}
+        classed.append({name: replace(own, **nothing) for name, own in found.items()})
         progress.advance(1)
     table = join_sectors(classed, deviations, labels) if classed else None
     if table is None or not table.traversable.any():

@@ -24,7 +24,6 @@ from bumpymap.core import (
     ClassedSectors,
     Scan,
     SectorStack,
-    point_classes,
     sector_bounds,
     write_vertices,
 )
@@ -187,7 +186,7 @@ def write_cloud(scan: Scan, classed: ClassedSectors, path: Path) -> None:
     for number, (axis, colour) in enumerate(zip("xyz", _COLOURS, strict=True)):
         vertex[axis], vertex[colour] = scan.points[:, number], colours[:, number]
     vertex["height"], vertex["ground"] = stack.point_height, stack.point_ground
-    vertex["class"] = point_classes(scan, classed)
+    vertex["class"] = classed.point_class
     for name, values in beside.items():
         vertex[name] = values
     with path.open("wb") as stream:

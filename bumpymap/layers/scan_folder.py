@@ -28,7 +28,6 @@ from bumpymap.core import (
     Scan,
     move_together,
     parse_json,
-    point_classes,
     sync_file,
     write_remedy,
 )
@@ -68,15 +67,15 @@ def sector_states(classed: ClassedSectors) -> NDArray[np.int64]:
 def point_styles(classed: ClassedSectors) -> NDArray[np.uint8]:
     """Return the style of each point, (m,): an index into ``SCAN_COLOURS``.
 
-    Ground has the class of its sector; an obstacle is a point between belly and vehicle height above the ground;
-    everything else is of one style: overhead, low but not ground, without a class or a sector.
+    Ground has its class; an obstacle is a point between belly and vehicle height above the ground;
+    everything else is of one style: overhead, low but not ground, without a class.
     """
     stack, settings = classed.sectors, classed.sectors.settings
     with np.errstate(invalid="ignore"):
         stands = (stack.point_height >= settings.belly_m) & (stack.point_height <= settings.height_m)
     never = stack.point_ground | stack.point_airborne
     style = np.where(stands & ~never, np.uint8(OBSTACLE_POINT), np.uint8(OTHER_POINT))
-    own = np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE))[stack.point_sector]
+    own = classed.point_class
     return np.where(stack.point_ground & (own < CLASSES), own, style)
 
 
@@ -125,7 +124,7 @@ def report_frame(
     version, message, pose, stack = version or {}, frame.message, frame.pose, classed.sectors
     file = {"path": str(frame.path), "bytes": version.get("size"), "mtime_ns": version.get("mtime_ns")}
     own = describe_input(file) if message is None else {"bytes": message.bytes, "sha256": None}
-    points, height, ride = point_classes(scan, classed), stack.origin_height, classed.ride
+    points, height, ride = classed.point_class, stack.origin_height, classed.ride
     rated = None if ride is None else np.minimum(ride.class_id[stack.traversable], len(_RIDE_CLASSES) - 1)
     return {
         "name": frame.name,

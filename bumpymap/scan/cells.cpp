@@ -9,7 +9,7 @@
 #include <cmath>
 #include <limits>
 
-#include "polar.hpp"
+#include "surface.hpp"
 
 namespace bumpy {
 namespace {
@@ -19,13 +19,14 @@ constexpr Index side_rays = 180;
 constexpr Index all_rays = 4 * side_rays;
 // Points whose cells are found at once: they stay in the nearest cache.
 constexpr Index block_points = 512;
-constexpr float infinite = std::numeric_limits<float>::infinity();
+constexpr float nothing = std::numeric_limits<float>::infinity();
 
 // The square cells around a sensor, as a scan shows them, from the lowest y upwards, and in each row from the lowest x;
 // unknown heights are NaN.
 struct SquareCells {
     Array<std::uint8_t> kind;      // class of the ground; one more than the last where a vehicle cannot go, and one
                                    // more where unknown
+    Array<std::uint8_t> class_id;  // of the ground, beneath objects too
     Array<std::int32_t> sector;    // row of the sector whose ground is known in the cell; -1 without any
     Array<float> elevation, step;  // mean z of the ground points; largest difference from a cell beside it, m
     Array<float> top, clearance;   // of an obstacle, and lowest point that a vehicle passes under, over the ground, m
@@ -34,13 +35,13 @@ struct SquareCells {
 
 // A classified scan; arrays by sector have one row more, for points in none.
 struct ClassedPoints {
-    Array<const float, 2> points;               // (points, 3) m
-    Array<const bool> ground, airborne;         // (points,) whether it is ground; whether it is left out
-    Array<const float> height;                  // (points,) over the ground of its sector, m; NaN where none is known
-    Array<const std::int32_t> sector;           // (points,) row of its sector; -1 if it is in none
-    Array<const std::uint8_t> kind, bare_kind;  // of the ground of sectors; where nothing is `beside`
-    Array<const bool> drops;                    // whether the ground of sectors drops
-    Array<const double, 2> slope;               // (sectors + 1, 2) along x and y; the last one: of the whole ground
+    Array<const float, 2> points;              // (points, 3) m
+    Array<const bool> ground, airborne;        // (points,) whether it is ground; whether it is left out
+    Array<const float> height;                 // (points,) over the ground of its sector, m; NaN where none is known
+    Array<const std::int32_t> sector;          // (points,) row of its sector; -1 if it is in none
+    Array<const std::uint8_t> kind, class_id;  // of the ground of sectors
+    Array<const bool> drops;                   // whether the ground of sectors drops
+    Array<const double, 2> slope;              // (sectors + 1, 2) along x and y; the last one: of the whole ground
 
     // The row of a sector in arrays by sector: the last one for -1.
     Index row(Index sector_or_none) const { return sector_or_none < 0 ? kind.size() - 1 : sector_or_none; }
@@ -53,11 +54,11 @@ struct ClassedPoints {
 };
 
 struct CellRule {
-    double resolution;      // side of a cell, m
-    Index half;             // cells from the sensor to each side of the grid
-    double belly, height;   // lower objects and steps pass under a vehicle; objects from here on pass over it, m
-    Index beneath, beside;  // cells behind an object in which ground that is seen beneath it is not known to be free;
-                            // farthest cells that are beside one
+    double resolution;     // side of a cell, m
+    Index half;            // cells from the sensor to each side of the grid
+    double belly, height;  // lower objects and steps pass under a vehicle; objects from here on pass over it, m
+    Index beneath;         // cells behind an object in which ground that is seen beneath it is not known to be free
+    Array<const double, 2> to_sensor;  // (2, 3) from columns and rows of cells to x and y in the frame of the sensor, m
 
     Index side() const { return 2 * half; }
 };
@@ -65,7 +66,7 @@ struct CellRule {
 // The lowest points by ray and ring: z of the lowest ground, of the lowest and -z of the highest other point, m;
 // infinite without any; and, read with them, the row of the sector of the lowest ground.
 struct Returns {
-    float ground = infinite, lowest = infinite, highest = infinite, sector = infinite;
+    float ground = nothing, lowest = nothing, highest = nothing, sector = nothing;
 };
 
 // The view along a ray in a ring: the row of the sector whose ground is seen, or goes on, or: nothing is known; the
@@ -74,20 +75,24 @@ constexpr std::int32_t unseen = -1, beneath_object = -2, falls = -3;
 
 // Numbers by cell, by ray and by ring while the cells are laid.
 struct Laying {
+    BinRings rings;
+    ClassField field;
     Scratch<std::int32_t> cell;        // (points,) the cell of each; -1 outside
     Scratch<double> count, total;      // (cells,) number of ground points, and the sum of their z, m
-    Scratch<std::int32_t> objects;     // (cells,) twice the points of obstacles, one more if some are lower
+    Scratch<std::uint8_t> stands;      // (cells,) whether an obstacle stands there
     Scratch<std::uint8_t> has_others;  // (cells,) whether some points are not ground
     Scratch<double> level;             // (cells,) elevation of the ground, or the mean around it, m; or NaN
     Scratch<Returns> returns;          // by `slot_of`
     Scratch<std::int32_t> seen;        // (all_rays, half) as above
     Scratch<std::uint8_t> has_fallen;  // (sectors + 1,) whether the ground drops somewhere in the sector
 
-    Laying(const ClassedPoints& scan, const CellRule& rule)
-        : cell(scan.points.shape[0]),
+    Laying(const ClassedPoints& scan, const CellRule& rule, const ZoneGrid& grid, const ClassField& of)
+        : rings(grid),
+          field(of),
+          cell(scan.points.shape[0]),
           count(rule.side() * rule.side()),
           total(count.count()),
-          objects(count.count()),
+          stands(count.count()),
           has_others(count.count()),
           level(count.count()),
           returns(all_rays * rule.half),
@@ -177,14 +182,6 @@ void sort_into_cells(const ClassedPoints& scan, const CellRule& rule, const Squa
 
 // ---- The ground of cells, and objects on it ----
 
-// Calls `act` with each cell that is in the square around a cell, `wide` cells to each side, and in the grid.
-template <class Act>
-void around(Index cell, Index wide, Index side, Act act) {
-    const Index row = cell / side, column = cell % side;
-    for (Index r = std::max(row - wide, Index{0}); r < std::min(row + wide + 1, side); ++r)
-        for (Index c = std::max(column - wide, Index{0}); c < std::min(column + wide + 1, side); ++c) act(r * side + c);
-}
-
 // Finds the elevation of the ground in every cell, its steps, and the level from which objects are measured.
 void level_cells(const CellRule& rule, const SquareCells& out, Laying& s) {
     const Index side = rule.side();
@@ -206,11 +203,14 @@ void level_cells(const CellRule& rule, const SquareCells& out, Laying& s) {
             out.step[cell] = step;
         } else if (s.has_others[cell] != 0) {
             double height = 0.0, count = 0.0;
-            around(cell, 1, side, [&](Index other) {
-                if (!has_ground(other)) return;
-                count += 1.0;
-                height += out.elevation[other];
-            });
+            const Index row = cell / side, column = cell % side;
+            for (Index r = std::max(row - 1, Index{0}); r < std::min(row + 2, side); ++r) {
+                for (Index c = std::max(column - 1, Index{0}); c < std::min(column + 2, side); ++c) {
+                    if (!has_ground(r * side + c)) continue;
+                    count += 1.0;
+                    height += out.elevation[r * side + c];
+                }
+            }
             s.level[cell] = height / count;
         }
     }
@@ -222,27 +222,25 @@ void stand_objects(const ClassedPoints& scan, const CellRule& rule, const Square
     for (Index i = 0; i < scan.points.shape[0]; ++i) {
         const Index cell = s.cell[i];
         if (cell < 0 || scan.ground[i]) continue;
-        std::int32_t& objects = s.objects[cell];
         double h = scan.height[i];
         const double near = scan.points(i, 2) - s.level[cell];
         if (!(std::isnan(near) || (rule.belly <= h && h < rule.height))) h = near;
         if (std::isnan(h)) {
-            objects += 2;
+            s.stands[cell] = 1;
         } else if (h >= rule.height) {
             float& clearance = out.clearance[cell];
             const auto above = static_cast<float>(h);
             clearance = std::isnan(clearance) ? above : std::min(clearance, above);
         } else if (h >= rule.belly) {
-            objects += 2;
+            s.stands[cell] = 1;
             const auto top = static_cast<float>(h);
             const float tip = scan.points(i, 2);
             if (!(top <= out.top[cell]) || (top == out.top[cell] && tip > out.tip[cell])) {
                 out.top[cell] = top;
                 out.tip[cell] = tip;
             }
-        } else {
-            objects |= 1;
-            if (h > -rule.belly && !(s.count[cell] > 0.0)) meet(out.sector[cell], scan.sector[i]);
+        } else if (h > -rule.belly && !(s.count[cell] > 0.0)) {
+            meet(out.sector[cell], scan.sector[i]);
         }
     }
 }
@@ -259,12 +257,12 @@ class RayFollower {
     void follow() {
         for (Index ring = 0; ring < rule_.half; ++ring) {
             const auto [at, returns] = returns_of(ring);
-            if (returns.ground != infinite) {
+            if (returns.ground != nothing) {
                 const auto here = static_cast<Index>(returns.sector);
                 connect(ring, false, returns.ground, here);
                 enter_ground(ring, at, returns.ground, here);
             }
-            if (returns.lowest != infinite) {
+            if (returns.lowest != nothing) {
                 const double above = connect(ring, true, returns.lowest, home_);
                 if (last_ >= 0 && rule_.belly <= above && above < rule_.height) enter_object(ring, returns);
             }
@@ -283,7 +281,7 @@ class RayFollower {
         for (const Index turn : {Index{0}, all_rays - 1, Index{1}}) {
             found.ray = (ray_ + turn) % all_rays;
             found.returns = s_.returns[slot_of(found.ray, ring, rule_.half)];
-            if (std::min(found.returns.ground, found.returns.lowest) < infinite) break;
+            if (std::min(found.returns.ground, found.returns.lowest) < nothing) break;
         }
         return found;
     }
@@ -365,21 +363,30 @@ void judge_cell(
     if (beneath > seen) out.sector[cell] = -1;
     const Index of = scan.row(out.sector[cell]);
     drops |= scan.drops[of] && s.has_fallen[of] == 0;
-    const bool stops = s.objects[cell] > 1 || drops || out.step[cell] > rule.belly;
-    std::uint8_t kind = scan.kind[of];
-    if (stops) kind = static_cast<std::uint8_t>(scan.kind[scan.row(-1)] - 1);
-    if (kind == scan.kind[of] && kind != scan.bare_kind[of]) {
-        bool is_bare = true;  // nothing beside the cell, or in it, is lower than the vehicle and not ground
-        around(cell, rule.beside, rule.side(), [&](Index other) { is_bare = is_bare && s.objects[other] <= 0; });
-        if (is_bare) kind = scan.bare_kind[of];
+    const bool stops = s.stands[cell] != 0 || drops || out.step[cell] > rule.belly;
+    const auto barred = static_cast<std::uint8_t>(scan.kind[scan.row(-1)] - 1);
+    std::uint8_t class_id = scan.class_id[of], kind = stops ? barred : scan.kind[of];
+    if (class_id < barred) {
+        const double column = static_cast<double>(cell % rule.side()) + 0.5;
+        const double row = static_cast<double>(cell / rule.side()) + 0.5;
+        const auto axis = [&](Index k) {
+            return rule.to_sensor(k, 0) * column + rule.to_sensor(k, 1) * row + rule.to_sensor(k, 2);
+        };
+        const double x = axis(0), y = axis(1), turn = full_turn(turn_of(x, y));
+        const auto around = static_cast<std::int32_t>(turn * static_cast<double>(bin_columns * bin_parts));
+        const std::uint8_t found = s.field.at(s.rings.parts(x * x + y * y), around);
+        if (found != s.field.unknown) class_id = found;
     }
-    out.kind[cell] = kind;
+    out.class_id[cell] = class_id;
+    out.kind[cell] = kind < barred ? class_id : kind;
 }
 
 // Finds the ground of every cell, the objects on it and over it, and its kind. `out` comes as it is without a
 // point: heights NaN, rows -1.
-void lay_cells(ClassedPoints scan, CellRule rule, Array<const std::int32_t, 2> rays, SquareCells out) {
-    Laying s(scan, rule);
+void lay_cells(
+    ClassedPoints scan, ZoneGrid grid, ClassField field, CellRule rule, Array<const std::int32_t, 2> rays,
+    SquareCells out) {
+    Laying s(scan, rule, grid, field);
     sort_into_cells(scan, rule, out, s);
     level_cells(rule, out, s);
     stand_objects(scan, rule, out, s);
@@ -395,8 +402,8 @@ void lay_cells(ClassedPoints scan, CellRule rule, Array<const std::int32_t, 2> r
 }  // namespace
 }  // namespace bumpy
 
-BUMPY_RECORD(bumpy::SquareCells, kind, sector, elevation, step, top, clearance, tip)
-BUMPY_RECORD(bumpy::ClassedPoints, points, ground, airborne, height, sector, kind, bare_kind, drops, slope)
-BUMPY_RECORD(bumpy::CellRule, resolution, half, belly, height, beneath, beside)
+BUMPY_RECORD(bumpy::SquareCells, kind, class_id, sector, elevation, step, top, clearance, tip)
+BUMPY_RECORD(bumpy::ClassedPoints, points, ground, airborne, height, sector, kind, class_id, drops, slope)
+BUMPY_RECORD(bumpy::CellRule, resolution, half, belly, height, beneath, to_sensor)
 
 BUMPY_LOOPS(cells, lay_cells)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CLASSES, FAIL_SHARE, NOT_TRAVERSABLE, ClassedSectors, GridSettings, GroundGrid, loops
 from bumpymap.scan.align import judge_by_view
-from bumpymap.scan.ground import median, open_neighbours
+from bumpymap.scan.ground import ZoneGrid, median
+from bumpymap.scan.places import class_field
 
 _OCCUPANCY = np.array([0, 33, 66, 100, -1], np.int8)
 """Occupancy of ground of class 0 (smooth), 1 (fair) and 2 (rough), of what is not traversable, and of the unknown."""
@@ -18,8 +19,6 @@ _MOST_COST = 98
 """Occupancy of ground from the upper limit of C_r on: Nav2 takes 99 for the edge of an obstacle."""
 _BENEATH_M = 2.0
 """Depth behind the side of an object in which ground seen beneath it is not known to be free, m: half a car."""
-_BESIDE_M = 0.5
-"""Distance up to which objects stand beside the ground of a cell, m (chosen)."""
 
 
 RAYS = 180
@@ -68,32 +67,32 @@ def see_cells(
     ``pose`` (4, 4): from the sensor to the frame whose axes and multiples of whole cells count, m; heights are over the
     sensor.
     """
-    stack, normal = classed.sectors, classed.sectors.normal
+    stack, normal, cell_m = classed.sectors, classed.sectors.normal, settings.resolution_m
+    back, shift = np.eye(2), np.zeros(2)
     if pose is not None:
-        turn, cell_m = pose[:3, :3].astype(np.float32), settings.resolution_m
+        turn, back = pose[:3, :3].astype(np.float32), pose[:2, :2].T.copy()
         shift = pose[:2, 3] - cell_m * _cell_of(pose, cell_m)
         x, y, z = np.ascontiguousarray(points.T)
         points = np.empty_like(points)  # without a product of matrices, whose library would start threads
         for axis, offset in enumerate((*shift.astype(np.float32), np.float32(0.0))):
             points[:, axis] = turn[axis, 0] * x + turn[axis, 1] * y + turn[axis, 2] * z + offset
         normal = normal @ turn.T
-    half = math.ceil(settings.reach_m / settings.resolution_m - 1e-9)
+    half = math.ceil(settings.reach_m / cell_m - 1e-9)
     side, cells = 2 * half, 4 * half * half
     kinds = np.append(np.minimum(classed.class_id, CLASSES), np.uint8(CLASSES + 1))
     c_r, limits = np.full(len(kinds), np.nan, np.float32), np.empty(0, np.float32)
     if classed.ride is not None:
         c_r[:-1], limits = classed.ride.c_r, classed.ride.limits
         kinds[:-1][classed.ride.p_fail >= FAIL_SHARE] = CLASSES
-    bare_kinds = _kinds_between_objects(classed, kinds)
     slope = np.zeros((len(kinds), 2))
     level = np.flatnonzero(stack.traversable)
     slope[level] = -normal[level, :2] / normal[level, 2:]
     if len(level):
         slope[-1] = median(slope[level])
     layers = np.full((6, cells), np.nan, np.float32)
-    kind, sector = np.empty(cells, np.uint8), np.full(cells, -1, np.int32)
+    kind, class_id, sector = *np.empty((2, cells), np.uint8), np.full(cells, -1, np.int32)
     names = ("elevation", "step", "top", "clearance", "tip")
-    out = {"kind": kind, "sector": sector, **dict(zip(names, layers, strict=False))}
+    out = {"kind": kind, "class_id": class_id, "sector": sector, **dict(zip(names, layers, strict=False))}
     scan = {
         "points": np.ascontiguousarray(points, np.float32),
         "ground": stack.point_ground,
@@ -101,23 +100,21 @@ def see_cells(
         "height": stack.point_height,
         "sector": stack.point_sector,
         "kind": kinds,
-        "bare_kind": bare_kinds,
+        "class_id": np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE)),
         "drops": np.append(stack.drop, np.False_),
         "slope": slope,
     }
     rule = {
-        "resolution": settings.resolution_m,
+        "resolution": cell_m,
         "half": half,
         "belly": stack.settings.belly_m,
         "height": stack.settings.height_m,
-        "beneath": round(_BENEATH_M / settings.resolution_m),
-        "beside": round(_BESIDE_M / settings.resolution_m),
+        "beneath": round(_BENEATH_M / cell_m),
+        "to_sensor": np.column_stack([cell_m * back, back @ (-half * cell_m - shift)]),
     }
-    loops.lay_cells(scan, rule, _rays_of(half), out)
+    loops.lay_cells(scan, ZoneGrid.of(stack.settings), class_field(classed.field), rule, _rays_of(half), out)
     if classed.ride is not None:
         layers[-1] = c_r[sector]
-    class_id = np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE)).take(sector, mode="wrap")
-    np.copyto(class_id, kind, where=kind < CLASSES)
     return SeenCells(
         kind.reshape(side, side),
         class_id.reshape(side, side),
@@ -125,17 +122,6 @@ def see_cells(
         0.5 * (stack.settings.belly_m + stack.settings.height_m),
         limits,
     )
-
-
-def _kinds_between_objects(classed: ClassedSectors, kinds: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the kinds of sectors (n + 1,) where nothing stands: of rough ones full of objects, of open ones around."""
-    is_open, near = open_neighbours(classed.sectors)
-    full = np.flatnonzero((kinds[:-1] == CLASSES - 1) & ~is_open)
-    around = np.sort(kinds[near[full]], axis=1)
-    count = (near[full] < len(is_open)).sum(axis=1)
-    found = kinds.copy()
-    found[full] = np.minimum(kinds[full], around[np.arange(len(full)), count // 2])
-    return found
 
 
 def _cell_of(pose: NDArray[np.float64], cell_m: float) -> NDArray[np.int64]:

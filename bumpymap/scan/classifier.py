@@ -28,7 +28,6 @@ from bumpymap.core import (
     SectorRide,
     UsageError,
     path_of_call,
-    point_classes,
     refuse_clashes,
     sector_bounds,
     settings_of_call,
@@ -51,7 +50,7 @@ class ScanResult:
     points: NDArray[np.float32]
     """(n, 3) m. The given points (not copied if they are float32); of a file, those without returns on the robot."""
     point_class: NDArray[np.uint8]
-    """(n,) 0 smooth, 1 fair, 2 rough; 255 not traversable, or in no measured sector."""
+    """(n,) of the ground about each point: 0 smooth, 1 fair, 2 rough; 255 where there is none."""
     point_sector: NDArray[np.int32]
     """(n,) row of the point's sector in the arrays of sectors; -1 if it is in no measured sector."""
     sectors: ClassedSectors
@@ -292,7 +291,7 @@ class ScanClassifier:
         if pose is not None:
             scan = replace(scan, heading_rad=math.atan2(pose[1, 0], pose[0, 0]))
         classed = self._method.classify(scan)
-        classes, sector = point_classes(scan, classed), classed.sectors.point_sector
+        classes, sector = classed.point_class, classed.sectors.point_sector
         if rows is not None:
             found, classes = classes, np.full(len(array), NOT_TRAVERSABLE, np.uint8)
             classes[rows] = found

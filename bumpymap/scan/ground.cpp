@@ -54,6 +54,8 @@ struct GroundLabels {
     Array<std::int32_t> held;
     Array<double, 2> surface;
     Array<double> whole;
+    Array<float, 2> places;
+    Array<double, 2> measures;
 };
 
 // The points of a bin near the surface: number, sum and squares of their heights, exact; and the number of those over
@@ -131,6 +133,87 @@ void find_reaches(
     }
 }
 
+// ---- Measures of places ----
+
+// Sums over the points of a bin: ground, and the sum and squares of its heights [m, m^2]; other points below the belly,
+// up to the vehicle's height, and above.
+enum PlaceSum : std::size_t { ground_points, sum, squares, low, standing, over, place_sums };
+using PlaceSums = std::array<double, place_sums>;
+// The spread of the ground, m, where there is none, and the number of points that it has there.
+constexpr double usual_spread = 0.03, usual_points = 0.5;
+constexpr std::size_t place_measures = 7;
+
+// Adds to every bin half of those beside it, outwards and around; the sum of the weights is one.
+template <class Values>
+void smooth(Scratch<Values>& places) {
+    const Index rings = places.count() / bin_columns;
+    std::array<Values, bin_columns + 2> row;  // a bin at each end stands for the one at the other
+    const Scratch<Values> before = places;
+    const Values nothing{};
+    for (Index ring = 0; ring < rings; ++ring) {
+        for (Index column = 0; column < bin_columns; ++column) {
+            const Index bin = ring * bin_columns + column;
+            const Values& inner = ring > 0 ? before[bin - bin_columns] : nothing;
+            const Values& outer = ring + 1 < rings ? before[bin + bin_columns] : nothing;
+            Values& out = row[static_cast<std::size_t>(column + 1)];
+            for (std::size_t k = 0; k < nothing.size(); ++k)
+                out[k] = 0.5 * before[bin][k] + 0.25 * (inner[k] + outer[k]);
+        }
+        row.front() = row[bin_columns];
+        row.back() = row[1];
+        for (std::size_t column = 1; column <= bin_columns; ++column)
+            for (std::size_t k = 0; k < nothing.size(); ++k)
+                places[ring * bin_columns + static_cast<Index>(column) - 1][k] =
+                    0.5 * row[column][k] + 0.25 * (row[column - 1][k] + row[column + 1][k]);
+    }
+}
+
+// Nearly the logarithm to base 2, see `BinRings`.
+double about_log2(double x) { return BinRings::bits(x) / static_cast<double>(1 << 23) - 127.0; }
+
+// Writes the measures of every bin, smoothed over those around it: shares of the points, as roots where they are few,
+// the spread of the ground, the number of points, the distance; last, and not one of them, the ground points about it.
+void measure_places(Scratch<PlaceSums>& places, Array<float, 2> out) {
+    smooth(places);
+    Scratch<std::array<double, 1>> ground_about(places.count());
+    for (Index bin = 0; bin < places.count(); ++bin) {
+        const PlaceSums& of = places[bin];
+        ground_about[bin][0] = of[ground_points];
+        const double ground = of[ground_points], all = ground + of[low] + of[standing] + of[over] + 1e-3;
+        const double scatter = std::max(of[squares] - of[sum] * of[sum] / (ground + 1e-3), 0.0);
+        const double variance = (scatter + usual_points * usual_spread * usual_spread) / (ground + usual_points) + 1e-6;
+        const std::array<double, place_measures> measures{
+            std::sqrt(of[low] / all),
+            std::sqrt(of[standing] / all),
+            std::sqrt(of[over] / all),
+            ground / all,
+            0.15 * about_log2(variance),
+            0.3 * about_log2(all),
+            0.3 * static_cast<double>(bin / bin_columns) / octave_rings};
+        for (std::size_t k = 0; k < place_measures; ++k)
+            out(bin, static_cast<Index>(k)) = static_cast<float>(measures[k]);
+    }
+    smooth(ground_about);
+    for (Index bin = 0; bin < places.count(); ++bin)
+        out(bin, place_measures) = static_cast<float>(ground_about[bin][0]);
+}
+
+// Writes the means of the measures over the points of each cell.
+void measure_cells(const CellPoints& points, Array<const float, 2> places, Array<double, 2> out) {
+    for (Index cell = 0; cell < out.shape[0]; ++cell) {
+        std::array<double, place_measures + 1> sums{};  // the ground points too: eight are as fast as seven
+        const Index begin = points.starts[cell], end = points.starts[cell + 1];
+        for (Index i = begin; i < end; ++i) {
+            const float* of = &places(points.bin[i], 0);
+            for (std::size_t k = 0; k < sums.size(); ++k) sums[k] += exact(of[k]);
+        }
+        for (std::size_t k = 0; k < place_measures; ++k)
+            out(cell, static_cast<Index>(k)) = sums[k] / static_cast<double>(std::max(end - begin, Index{1}));
+    }
+}
+
+// ---- Heights ----
+
 // Heights of the points over the surface, and in which bins up to which one they are ground.
 struct Labelling {
     Scratch<float> height;     // (points,) by cell, m
@@ -138,6 +221,7 @@ struct Labelling {
     Scratch<float> lowest;     // (pixels^2,) of the objects in each pixel of a cell, m
     Scratch<Tilt> planes;      // (bins,) that touch the surface
     Scratch<NearPoints> near;  // (bins,)
+    Scratch<PlaceSums> places;
 };
 
 // Finds the heights of all points, and which bins have ground; returns whether the frame hangs from what looks like
@@ -201,7 +285,8 @@ bool label_cell(
     Labelling& s) {
     const Array<float, 2> lowest = out.lowest.at(cell);
     const Index begin = points.starts[cell], end = points.starts[cell + 1];
-    const auto height = static_cast<float>(rule.height_m), drawn = static_cast<float>(objects_height * rule.height_m);
+    const auto belly = static_cast<float>(rule.belly_m), height = static_cast<float>(rule.height_m);
+    const auto drawn = static_cast<float>(objects_height * rule.height_m);
     std::int32_t held = 0, overhead = 0;
     float clearance = out.clearance[cell];
     for (Index i = begin; i < end; ++i) {
@@ -210,10 +295,17 @@ bool label_cell(
         const Index p = points.order[i], place = points.pixel[i];
         out.height[p] = h;
         out.ground[p] = out.kept[i] = kept;
-        float& low = lowest(place, kept ? 0 : 1);
-        low = std::min(low, points.xyz(2, i));
+        float& deepest = lowest(place, kept ? 0 : 1);
+        deepest = std::min(deepest, points.xyz(2, i));
         held += kept;
-        if (kept) continue;
+        PlaceSums& sums = s.places[points.bin[i]];
+        if (kept) {
+            sums[ground_points] += 1.0;
+            sums[sum] += exact(h);
+            sums[squares] += exact(static_cast<double>(h) * h);
+            continue;
+        }
+        sums[h <= belly ? low : h < height ? standing : over] += 1.0;
         if (h >= height) {
             ++overhead;
             clearance = std::min(clearance, h);
@@ -256,6 +348,7 @@ void find_ground(CellPoints points, ZoneGrid grid, Array<const double, 2> centre
     const bool hangs = find_heights(points, surface, rings, s);
     const bool is_found = surface.layers.size() > 0 && !(hangs && rule.overhead_m < infinite);
     s.lowest.resize(static_cast<std::size_t>(out.lowest.shape[1]));
+    renew(s.places, rings.count * bin_columns);
     std::copy_n(&surface.whole.a, 3, out.whole.begin());
     for (Index cell = 0; cell < centres.shape[0]; ++cell) {
         const double x = centres(cell, 0), y = centres(cell, 1), square = x * x + y * y;
@@ -278,6 +371,33 @@ void find_ground(CellPoints points, ZoneGrid grid, Array<const double, 2> centre
             count_obstacles(points, cell, rule, out, objects, s);
         }
     }
+    measure_places(s.places, out.places);
+    measure_cells(points, out.places, out.measures);
+}
+
+// Returns the number of bins of a grid.
+Index count_bins(ZoneGrid grid) { return BinRings(grid).count * bin_columns; }
+
+// ---- Classes of places ----
+
+// Writes what a linear function of the measures says of each class into `field` (bins, classes + 1), and the ground
+// points about the bins into its last column. `slopes`: (measures + 1, classes), the last ones: of one.
+void spread_classes(Array<const float, 2> places, Array<const double, 2> slopes, Array<float, 2> field) {
+    const Index measures = slopes.shape[0] - 1, classes = slopes.shape[1];
+    for (Index bin = 0; bin < places.shape[0]; ++bin) {
+        for (Index c = 0; c < classes; ++c) {
+            double says = slopes(measures, c);
+            for (Index k = 0; k < measures; ++k) says += slopes(k, c) * places(bin, k);
+            field(bin, c) = static_cast<float>(says);
+        }
+        field(bin, classes) = places(bin, measures);
+    }
+}
+
+// Finds the classes at the places of points.
+void find_classes(Array<const std::uint16_t, 2> place, ClassField field, Array<std::uint8_t> class_id) {
+    for (Index i = 0; i < class_id.size(); ++i)
+        class_id[i] = place(i, 0) == no_place ? field.unknown : field.at(place(i, 0), place(i, 1));
 }
 
 // ---- Drops ----
@@ -357,7 +477,7 @@ void find_drops(
 BUMPY_RECORD(bumpy::GroundRule, belly_m, height_m, overhead_m)
 BUMPY_RECORD(
     bumpy::GroundLabels, height, ground, obstacles, overhead, airborne, top, clearance, objects, lowest, kept, held,
-    surface, whole)
+    surface, whole, places, measures)
 BUMPY_RECORD(bumpy::DropRule, least, slope, below, whole, directions)
 
-BUMPY_LOOPS(ground, find_ground, find_drops)
+BUMPY_LOOPS(ground, find_ground, find_drops, count_bins, spread_classes, find_classes)

@@ -15,6 +15,8 @@ Singles = NDArray[np.float32]
 Integers = NDArray[np.int32]
 Flags = NDArray[np.bool_]
 
+MEASURES = 7
+"""Number of measures of a bin: see ground.cpp."""
 NEIGHBOURS = 8
 """Most neighbours of a cell: three inwards, two beside it, three outwards."""
 
@@ -31,6 +33,12 @@ class ZoneGrid(NamedTuple):
     """Where sector 0 starts, as a share of a turn."""
     pixels: int
     """Rows (outwards) and columns (counter-clockwise) of a sector."""
+
+    @classmethod
+    def of(cls, settings: PolarSettings, start: float = 0.0) -> "ZoneGrid":
+        """Return the grid of some settings."""
+        edges, sectors = np.array([*settings.zone_starts_m, settings.end_m]), np.array(settings.sectors, np.int64)
+        return cls(edges, sectors, np.array(settings.rings, np.int64), start, settings.pixels)
 
 
 class CellPoints(NamedTuple):
@@ -93,6 +101,11 @@ class GroundLabels(NamedTuple):
     where no point is, as the ground around it leads to expect."""
     whole: Floats
     """(3,) of the whole ground, as ``surface``."""
+    places: Singles
+    """(bins, `MEASURES` + 1) of small bins around the sensor and the bins about them: measures of what is there, and
+    the number of ground points."""
+    measures: Floats
+    """(cells, `MEASURES`) mean of those measures over the points."""
 
 
 class SectorBuffers(threading.local):
@@ -183,6 +196,8 @@ def find_ground(
         held=np.zeros(cells, np.int32),
         surface=np.empty((cells, 3)),
         whole=np.empty(3),
+        places=np.empty((loops.count_bins(grid), MEASURES + 1), np.float32),
+        measures=np.empty((cells, MEASURES)),
     )
     loops.find_ground(points, grid, centres, settings, labels)
     return labels

@@ -60,8 +60,10 @@ class Placer {
     Scratch<Index> first_;   // number of the first cell
 };
 
-// Finds the cell of every point, -1 outside of the grid, and lists the points by cell.
-void place_points(Array<const float, 2> points, ZoneGrid grid, Array<std::int32_t> cell, CellPoints out) {
+// Finds the cell of every point, -1 outside of the grid, and its place in bins; and lists the points by cell.
+void place_points(
+    Array<const float, 2> points, ZoneGrid grid, Array<std::int32_t> cell, Array<std::uint16_t, 2> place,
+    CellPoints out) {
     const Index size = points.shape[0];
     const BinRings rings(grid);
     const Placer placer(grid);
@@ -72,7 +74,7 @@ void place_points(Array<const float, 2> points, ZoneGrid grid, Array<std::int32_
     Scratch<PixelAndBin>& places = memory;
     places.resize(static_cast<std::size_t>(size));
     std::array<double, block_points> x, y, away, turn;
-    std::array<std::int32_t, block_points> bin;
+    std::array<std::int32_t, block_points> ring, column;
     for (Index begin = 0; begin < size; begin += block_points) {
         const auto count = static_cast<std::size_t>(std::min(block_points, size - begin));
         const float* point = points.data + 3 * begin;
@@ -84,14 +86,17 @@ void place_points(Array<const float, 2> points, ZoneGrid grid, Array<std::int32_
             const double square = x[i] * x[i] + y[i] * y[i], whole = full_turn(turn_of(x[i], y[i]));
             away[i] = std::sqrt(square);
             turn[i] = full_turn(whole - grid.start);
-            const auto column = static_cast<std::int32_t>(whole * static_cast<double>(bin_columns));
-            bin[i] = rings.of(square) * static_cast<std::int32_t>(bin_columns) + column;
+            ring[i] = rings.parts(square);
+            column[i] = static_cast<std::int32_t>(whole * static_cast<double>(bin_columns * bin_parts));
         }
         for (std::size_t i = 0; i < count; ++i) {
             const Index p = begin + static_cast<Index>(i);
             const auto [home, pixel] = placer.at(away[i], turn[i]);
             cell[p] = home;
-            places[p] = {pixel, bin[i]};
+            const std::int32_t bin = ring[i] / bin_parts * static_cast<std::int32_t>(bin_columns);
+            places[p] = {pixel, bin + column[i] / bin_parts};
+            place(p, 0) = home < 0 ? no_place : static_cast<std::uint16_t>(ring[i]);
+            place(p, 1) = static_cast<std::uint16_t>(column[i]);
             if (home >= 0) ++out.starts[home + 2];
         }
     }

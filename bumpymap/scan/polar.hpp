@@ -45,6 +45,9 @@ struct CellPoints {
     Array<std::int32_t> pixel, bin;
 };
 
+// The place in bins (surface.hpp) of a point outside of the grid.
+constexpr std::uint16_t no_place = 65535;
+
 // A number rounded to a multiple of 2^-28: sums of such terms are exact below 2^25, so that the order of the points of
 // a scan does not matter. For numbers up to 2^23.
 inline double exact(double term) {

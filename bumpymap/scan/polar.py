@@ -39,15 +39,14 @@ def polar_sectors(
     settings = settings or PolarSettings()
     points = np.ascontiguousarray(scan.points, np.float32)
     start = -scan.heading_rad % (2.0 * math.pi)
-    sectors, rings = np.array(settings.sectors, np.int64), np.array(settings.rings, np.int64)
-    edges = np.array([*settings.zone_starts_m, settings.end_m])
-    grid = ZoneGrid(edges, sectors, rings, start / (2.0 * math.pi), settings.pixels)
+    grid = ZoneGrid.of(settings, start / (2.0 * math.pi))
     buffers = buffers or SectorBuffers()
     size = len(points)
     cell, order, pixel, bins = (buffers.empty(name, size, np.int32) for name in ("cell", "order", "pixel", "bin"))
     xyz = buffers.empty("accumulated", size, np.float32, rows=3)
-    by_cell = CellPoints(np.zeros(int(sectors @ rings) + 2, np.int64), order, xyz, pixel, bins)
-    loops.place_points(points, grid, cell, by_cell)
+    by_cell = CellPoints(np.zeros(int(grid.sectors @ grid.rings) + 2, np.int64), order, xyz, pixel, bins)
+    place = np.empty((size, 2), np.uint16)
+    loops.place_points(points, grid, cell, place, by_cell)
     counts = np.diff(by_cell.starts[:-1])
     cells = np.flatnonzero(counts > settings.least_points)
     ground = find_ground(by_cell, size, grid, settings, buffers)
@@ -98,6 +97,9 @@ def polar_sectors(
         obstacle_height=np.where(stands, ground.top[cells], np.float32(np.nan)),
         clearance=np.where(ground.overhead[cells] > 0, ground.clearance[cells], np.float32(np.nan)),
         objects=ground.objects[cells].reshape(-1, 2, settings.pixels, settings.pixels),
+        measures=ground.measures[cells],
+        places=ground.places,
+        point_place=place,
         point_sector=point_sector,
         point_ground=ground.ground,
         point_airborne=ground.airborne,

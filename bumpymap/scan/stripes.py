@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors, PolarSettings, SectorStack, UsageError, parse_json
 from bumpymap.scan.ground import OPEN_SHARE
+from bumpymap.scan.places import with_places
 
 _BLOCKED_SHARE = 0.45
 """Least share of obstacles among the points that are not ground, of a sector that is not open, for class 2 (chosen)."""
@@ -135,7 +136,7 @@ def classify_filter(stack: SectorStack, model: StripeModel | None = None) -> Cla
     is_blocked = is_covered & (stack.obstacle_count >= _BLOCKED_SHARE * standing)
     rougher = np.maximum(nearest, is_covered.astype(np.uint8) + is_blocked.astype(np.uint8))
     class_id = np.where(stack.traversable, rougher, np.uint8(NOT_TRAVERSABLE))
-    return ClassedSectors(stack, class_id, stripes, "filter")
+    return with_places(stack, class_id, stripes, "filter")
 
 
 @cache

@@ -10,6 +10,8 @@ namespace bumpy {
 
 // Columns of bins around the sensor, and rings of bins while the distance doubles: bins are as long as they are wide.
 constexpr Index bin_columns = 128, octave_rings = 16;
+// Places in bins are counted in parts of one.
+constexpr std::int32_t bin_parts = 256;
 
 // The rings of bins, which grow outwards: by the leading bits of the squared distance as a float, which are nearly its
 // logarithm.
@@ -30,8 +32,11 @@ struct BinRings {
 
     std::int32_t of(double r2) const { return std::max((bits(r2) >> shift) - first, 0); }
 
-    // The place between rings of a squared distance, and the distance [m] of a place.
+    // The place between rings of a squared distance, as a number and in `bin_parts`; and the distance [m] of a place.
     double place(double r2) const { return (bits(r2) - (first << shift)) / static_cast<double>(1 << shift); }
+    std::int32_t parts(double r2) const {
+        return std::max(bits(r2) - (first << shift), 0) / ((1 << shift) / bin_parts);
+    }
     double distance(double place) const {
         const auto whole = static_cast<std::int32_t>(std::max(place, 0.0) * (1 << shift)) + (first << shift);
         return std::sqrt(static_cast<double>(std::bit_cast<float>(whole)));
@@ -46,6 +51,34 @@ void around_bin(Index bin, Index wide, Index rings, Act act) {
         for (Index c = column - wide; c <= column + wide; ++c)
             if ((r != ring || c != column) && !act(r * bin_columns + ((c + bin_columns) % bin_columns))) return;
 }
+
+// Classes of the ground in the bins of a frame (places.py).
+struct ClassField {
+    Array<const float, 2> says;  // (bins, classes + 1) a number for each class, and the ground points about the bin
+    double least;                // of these points, where the ground is known
+    std::uint8_t unknown;        // the class elsewhere
+
+    // The class with the highest number at a place in parts of a bin, between the middles of bins.
+    std::uint8_t at(std::int32_t outwards, std::int32_t around) const {
+        constexpr std::size_t columns = 4;  // three classes, and the points
+        const std::int32_t from = std::max(outwards - bin_parts / 2, 0);
+        const std::int32_t turn = around + bin_columns * bin_parts - bin_parts / 2;
+        const Index ring = from / bin_parts, left = turn / bin_parts % bin_columns, right = (left + 1) % bin_columns;
+        const float* near = &says(ring * bin_columns, 0);
+        const float* far = &says(std::min((ring + 1) * bin_columns, says.shape[0] - bin_columns), 0);
+        const auto out = static_cast<float>(from % bin_parts) * (1.0F / bin_parts);
+        const auto across = static_cast<float>(turn % bin_parts) * (1.0F / bin_parts);
+        std::array<float, columns> found;
+        for (std::size_t k = 0; k < columns; ++k) {
+            const auto a = left * Index{columns} + static_cast<Index>(k),
+                       b = right * Index{columns} + static_cast<Index>(k);
+            const float inner = near[a] + across * (near[b] - near[a]), outer = far[a] + across * (far[b] - far[a]);
+            found[k] = inner + out * (outer - inner);
+        }
+        if (found[3] < least) return unknown;
+        return static_cast<std::uint8_t>(std::max_element(found.begin(), found.begin() + 3) - found.begin());
+    }
+};
 
 // A plane by its slope along x and y, and its height at the origin, m.
 struct Tilt {
@@ -181,3 +214,5 @@ struct Surface {
 Surface find_surface(const CellPoints& points, const BinRings& rings);
 
 }  // namespace bumpy
+
+BUMPY_RECORD(bumpy::ClassField, says, least, unknown)

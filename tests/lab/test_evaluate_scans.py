@@ -10,11 +10,11 @@ import pytest
 from made_frames import churned_field, write_bin
 from small_surveys import run
 
-from bumpymap.core import BadInputError, ClassedSectors, Scan, UsageError
+from bumpymap.core import BadInputError, Scan, UsageError
 from bumpymap.lab import evaluate as scans
 from bumpymap.lab.label_sets import LABEL_SETS, identify_label_set, label_set, require_label_set
 from bumpymap.readers import find_frames, read_scan
-from bumpymap.scan import polar_sectors
+from bumpymap.scan import classify_filter, polar_sectors
 
 CSV = "id,class,name,kind\n# a remark\n1,0,lawn,ground\n2,2,wall,obstacle\n7,-1,,\n"
 
@@ -166,7 +166,7 @@ def test_points_of_obstacles_are_looked_for_in_free_sectors():
     )
     class_id = np.full(len(sectors.zone), 255, np.uint8)
     class_id[:3] = 0, 1, 2
-    classed = ClassedSectors(stack, class_id, None, "learned")
+    classed = replace(classify_filter(sectors), sectors=stack, class_id=class_id)
     score = scans.obstacle_score(scan, classed, KITTI)
     assert score == {"points": 6, "in_free": 2, "in_free_low": 1, "in_free_class": 3}
 
@@ -182,7 +182,7 @@ def test_labels_are_told_ground_is_found_and_obstacles_lie_in_sectors_that_say_s
         stack = polar_sectors(scan)
         ground.append(scans.ground_score(scan, stack.point_ground, labels))
         smooth = np.where(stack.traversable, 0, 255).astype(np.uint8)  # the flag alone, without the help of classes
-        total.update(scans.obstacle_score(scan, ClassedSectors(stack, smooth, None, "learned"), labels))
+        total.update(scans.obstacle_score(scan, replace(classify_filter(stack), class_id=smooth), labels))
     assert scans.mean_ground(ground)["f1"] > least
     assert min(score["f1"] for score in ground) > 0.9
     assert total["points"] > 4000

@@ -14,7 +14,7 @@ from ply_files import read_vertices
 from pyproj import CRS
 from small_surveys import files_in
 
-from bumpymap.core import Frame, PolarSettings, point_classes, sector_bounds
+from bumpymap.core import Frame, PolarSettings, sector_bounds
 from bumpymap.core.errors import OutputError
 from bumpymap.layers import check_scan_folder, move_products, name_frames, open_accumulated, scan_files
 from bumpymap.layers.scan_files import COLUMNS, open_table, sector_rows, write_cloud, write_polygons
@@ -31,7 +31,7 @@ def test_points_say_whether_they_are_ground_how_high_and_in_the_colour_of_that(s
     write_cloud(scan, replace(classed, sectors=stack), tmp_path / "a.ply")
     vertex = read_vertices(tmp_path / "a.ply")
     np.testing.assert_array_equal(np.stack([vertex[axis] for axis in "xyz"], axis=1), scan.points)
-    own = {"class": point_classes(scan, classed), "intensity": scan.intensity, "label": scan.label}
+    own = {"class": classed.point_class, "intensity": scan.intensity, "label": scan.label}
     for name, values in (own | {"height": stack.point_height, "ground": stack.point_ground}).items():
         np.testing.assert_array_equal(vertex[name], values)
     colours = np.stack([vertex[name] for name in ("red", "green", "blue")], axis=1)

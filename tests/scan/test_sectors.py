@@ -12,7 +12,7 @@ from bumpymap.core import GridSettings, PolarSettings, Scan
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.lab.label_sets import LABEL_SETS
 from bumpymap.readers import read_scan
-from bumpymap.scan import ScanClassifier, classify_filter, polar_sectors
+from bumpymap.scan import ScanClassifier, classify_filter, classify_learned, polar_sectors
 from bumpymap.scan.cells import lay_grid
 
 
@@ -243,14 +243,44 @@ def test_nothing_depends_on_the_order_of_the_points():
         np.testing.assert_array_equal(getattr(cells, field.name), getattr(shuffled, field.name), field.name)
 
 
+def faced(points, turn, side=1):
+    """Points as a robot sees them that is turned, degrees; or in a mirror (side -1)."""
+    c, s = math.cos(math.radians(turn)), math.sin(math.radians(turn))
+    return (points.astype(float) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) * [1, side, 1]).astype(np.float32)
+
+
 @pytest.mark.parametrize(("change", "most"), [((37, 1), 0.01), ((0, -1), 0.001)], ids=["turned", "mirrored"])
 def test_ground_is_the_same_however_the_robot_faces(change, most):
-    points, (turn, side) = seen(hilly_street), change
-    c, s = math.cos(math.radians(turn)), math.sin(math.radians(turn))
-    other = (points.astype(float) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) * [1, side, 1]).astype(np.float32)
-    one, two = polar_sectors(Scan(points)), polar_sectors(Scan(other))
+    points = seen(hilly_street)
+    one, two = polar_sectors(Scan(points)), polar_sectors(Scan(faced(points, *change)))
     assert (one.point_ground != two.point_ground).mean() < most
     assert (np.abs(one.point_height - two.point_height) < 0.03).mean() > 0.99
+
+
+@pytest.mark.parametrize("classify", [classify_filter, classify_learned])
+def test_classes_of_points_are_the_same_wherever_sectors_lie(classify):
+    points, rng = seen(hilly_street), np.random.default_rng(0)
+    before = classify(polar_sectors(Scan(points))).point_class
+    noise = (0.005 * rng.standard_normal(points.shape)).astype(np.float32)
+    for changed, most in ((faced(points, 37), 0.03), (faced(points, 0, -1), 0.02), (points + noise, 0.01)):
+        assert (classify(polar_sectors(Scan(changed))).point_class != before).mean() < most
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize(
+    ("folder", "labels", "least"), [("kitti_labelled", "kitti", 0.91), ("solid_state_labelled", "semantic-kitti", 0.83)]
+)
+def test_classes_of_points_are_those_of_their_labels_however_the_robot_faces(shared_data, folder, labels, least):
+    right, moved = [], []
+    for path in sorted((shared_data / "scans" / folder).glob("*.bin")):
+        scan = read_scan(path)
+        truth = LABEL_SETS[labels].classes_of(scan.label & 0xFFFF)
+        found = [classify_learned(polar_sectors(Scan(faced(scan.points, turn)))).point_class for turn in (0, 37)]
+        judged = (truth >= 0) & (found[0] < 255)
+        right.append((found[0] == truth)[judged].mean())
+        moved.append((found[0] != found[1]).mean())
+    assert np.mean(right) > least
+    assert np.mean(moved) < 0.045
 
 
 def test_reflections_below_the_ground_are_left_out_and_move_nothing():
