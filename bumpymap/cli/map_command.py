@@ -86,7 +86,9 @@ def command(run: Run) -> None:
     from bumpymap.survey import map_surveys, require_known
 
     with run.progress() as progress:
-        result = map_surveys(config, ImportsAhead(progress) if run.ctx.obj else progress)
+        # Dask may need what is hidden.
+        ahead = run.ctx.obj and config.scheduler is None
+        result = map_surveys(config, ImportsAhead(progress) if ahead else progress)
     run.show(_record(result, config), _lines(result, config))
     require_known(result, config, explain=run.quiet or run.as_json)
     if result.skipped:

@@ -25,7 +25,6 @@ from .change import (
     write_change_regions as write_change_regions,
 )
 from .check_files import (
-    NORMAL_80 as NORMAL_80,
     MapOffset as MapOffset,
     check_entries as check_entries,
     place_stretches as place_stretches,
@@ -70,8 +69,10 @@ from .lazy_raster import (
 )
 from .manifest import (
     COUNT as COUNT,
+    IRI_NOTE as IRI_NOTE,
     ISLAND_M2 as ISLAND_M2,
     MANIFEST_NAME as MANIFEST_NAME,
+    NORMAL_80 as NORMAL_80,
     PLACE_SHAPE as PLACE_SHAPE,
     MapSummary as MapSummary,
     ZoneCounts as ZoneCounts,
@@ -122,7 +123,6 @@ from .regions import (
     label as label,
 )
 from .route_files import (
-    IRI_NOTE as IRI_NOTE,
     PlannedRoute as PlannedRoute,
     ReachField as ReachField,
     reach_dataset as reach_dataset,

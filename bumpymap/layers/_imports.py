@@ -1,7 +1,6 @@
 """Imports that wait or leave something out: pyarrow and pyogrio without pandas, packages of the extra ``notebook``."""
 
 import sys
-import threading
 from importlib import import_module
 from importlib.abc import MetaPathFinder
 from typing import Any
@@ -18,19 +17,16 @@ _HIDDEN = frozenset(
 
 
 class _Hidden(MetaPathFinder):
-    """Import hook that hides modules from the thread that made it, and leaves all others to the next finders."""
-
-    def __init__(self) -> None:
-        self._thread = threading.get_ident()
+    """Import hook that hides modules, and leaves all others to the next finders."""
 
     def find_spec(self, fullname: str, path: Any, target: Any = None) -> None:
         """Raise ModuleNotFoundError for what is hidden."""
-        if fullname in _HIDDEN and threading.get_ident() == self._thread:
+        if fullname in _HIDDEN:
             raise ModuleNotFoundError(f"{fullname} is not imported here", name=fullname)
 
 
 def import_without_pandas(*names: str) -> None:
-    """Import modules while pandas is hidden; pyarrow, which looks for pandas once, does so now.
+    """Import modules while pandas is hidden, from all threads; pyarrow, which looks for pandas once, does so now.
 
     No layer needs pandas, and importing it takes a third of a second. Nor do layers need pyarrow's readers of object
     stores, or cloudpickle. Afterwards pyogrio cannot make data frames in this process, so this is for the command line

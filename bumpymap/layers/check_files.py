@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, CheckResult, DrivenStretches, plain_json
 from bumpymap.layers.colours import OFF_KINDS
+from bumpymap.layers.manifest import NORMAL_80
 from bumpymap.layers.map_reader import MapReader
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.vector import GeoJsonCoordinates, feature, plain_numbers, write_features
@@ -19,8 +20,6 @@ from bumpytiles import TileWindow
 _EDGES = np.array([1 / 2, 1 / 1.5, 1 / 1.2, 1.2, 1.5, 2.0])
 """Ratios of map to drive at which the next of ``OFF_KINDS`` begins."""
 NOT_COMPARED = len(OFF_KINDS) - 1
-NORMAL_80 = 1.2815515655446004
-"""Half width of the 80 % interval of a normal variable, in standard deviations."""
 
 
 @dataclass(frozen=True, slots=True)

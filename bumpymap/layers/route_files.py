@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError, Band, Route, atomic, chance_text, write_csv
 from bumpymap.layers._cog import write_array
 from bumpymap.layers._imports import import_notebook
+from bumpymap.layers.manifest import IRI_NOTE
 from bumpymap.layers.placement import Placement, RasterSpec
 from bumpymap.layers.regions import label, trace_all
 from bumpymap.layers.vector import DEGREE_DECIMALS, GeoJsonCoordinates, feature, write_features
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     import geopandas
     import xarray
 
-IRI_NOTE = "of a car at 80 km/h on both wheel paths; waves that photogrammetry adds count too"
 P_ARRIVES_NOTE = "errors of neighbouring tiles go together: an estimate"
 _SMALL = 6
 """Decimals of shares, angles per metre and ratios; lengths and times have 3."""

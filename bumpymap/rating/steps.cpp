@@ -99,49 +99,39 @@ void find_gradients(
 // Medians of the known ones of nine pixels in a column, for a row of the mosaic.
 class Runs {
   public:
-    explicit Runs(Index columns)
-        : cols(columns), stack(run_length * columns), sign(columns), medians(columns + 2 * reach, not_known) {}
+    explicit Runs(Index columns) : cols(columns), medians(columns + 2 * reach, not_known) {}
 
     // Fills the medians of nine rows, each brought to the middle one along the slope.
     const std::vector<double>& of(Array<const double, 2> heights, Floats slope) {
-        std::fill(sign.begin(), sign.end(), 1.0);
-        for (int k = 0; k < run_length; ++k) gather(heights.at(k), slope, k - run, row(k));
-        for (Index place = 0; place <= run; ++place) {  // the lowest of all nine to the front, then of the rest
-            for (Index other = place + 1; other < run_length; ++other) put_in_order(row(place), row(other));
-        }
-        const double *before = row(run - 1), *middle = row(run);
         for (Index c = 0; c < cols; ++c) {
-            const double pair = 0.5 * (before[c] + middle[c]);  // of an even number; of none it is NaN
-            medians[reach + c] = sign[c] > 0.0 ? middle[c] : pair;
+            // Unknown pixels become infinite, up and down in turn, so that the median of nine is that of the known
+            // ones.
+            double run_of[run_length], turn = 1.0;
+#pragma GCC unroll 9
+            for (int k = 0; k < run_length; ++k) {
+                const double height = heights.data[k * cols + c] - static_cast<double>(k - run) * slope[c];
+                const bool unknown = std::isnan(height);
+                run_of[k] = unknown ? turn * infinite : height;
+                turn = unknown ? -turn : turn;
+            }
+#pragma GCC unroll 9
+            for (int place = 0; place <= run; ++place) {  // the lowest of all nine to the front, then of the rest
+#pragma GCC unroll 9
+                for (int other = place + 1; other < run_length; ++other) {
+                    const double one = run_of[place], two = run_of[other];
+                    run_of[place] = std::min(one, two);
+                    run_of[other] = std::max(one, two);
+                }
+            }
+            const double pair = 0.5 * (run_of[run - 1] + run_of[run]);  // of an even number; of none it is NaN
+            medians[reach + c] = turn > 0.0 ? run_of[run] : pair;
         }
         return medians;
     }
 
   private:
-    double* row(Index k) { return stack.data() + k * cols; }
-
-    // Brings a row of heights to the middle row. Unknown pixels become infinite, up and down in turn, so that the
-    // median of nine is that of the known ones.
-    void gather(Floats heights, Floats slope, double ahead, double* out) {
-        double* const turns = sign.data();
-        for (Index c = 0; c < cols; ++c) {
-            const double height = heights[c] - ahead * slope[c], turn = turns[c];
-            const bool unknown = std::isnan(height);
-            out[c] = unknown ? turn * infinite : height;
-            turns[c] = unknown ? -turn : turn;
-        }
-    }
-
-    void put_in_order(double* low, double* high) const {
-        for (Index c = 0; c < cols; ++c) {
-            const double a = low[c], b = high[c];
-            low[c] = std::min(a, b);
-            high[c] = std::max(a, b);
-        }
-    }
-
     Index cols;
-    std::vector<double> stack, sign, medians;
+    std::vector<double> medians;
 };
 
 // The slope on which four heights agree, the nearest first, m per pixel; 0 if they do not.

@@ -580,17 +580,16 @@ def _still(tiles: PageTiles, scale: RideScale, light: NDArray[np.uint8]) -> str:
     Nothing is drawn where there are no points.
     """
     shown = tiles.spot.shown(_STILL_SIDE)
-    shape = len(shown[0]), shown[1].shape[1]
-    ground, barred, islands = tiles.ground[shown], tiles.barred[shown], tiles.islands[shown]
-    flat = scale.colours(tiles.c_r[shown])
-    flat[islands] = on_islands(flat[islands])
-    unknown = (ground >= UNKNOWN_FROM) | (barred == Barred.LITTLE_SEEN)
-    closed = (barred != Barred.NO) & ~unknown
-    flat[closed], flat[unknown] = CLOSED_COLOUR[:3], UNKNOWN_COLOUR[:3]
+    shape, islands = (len(shown[0]), shown[1].shape[1]), tiles.islands
+    colours = scale.colours(tiles.c_r)
+    colours[islands] = on_islands(colours[islands])
+    unknown = (tiles.ground >= UNKNOWN_FROM) | (tiles.barred == Barred.LITTLE_SEEN)
+    closed = (tiles.barred != Barred.NO) & ~unknown
+    colours[closed], colours[unknown] = CLOSED_COLOUR[:3], UNKNOWN_COLOUR[:3]
     above = np.asarray(Image.fromarray(light).resize(shape[::-1], Image.Resampling.BOX), np.float32)
     if above.ndim == 2:
         above = above[..., None]
     else:
-        above = np.where((closed | unknown | islands)[..., None], grey_of(above), above)
-    picture = np.where(ground[..., None] == NO_POINTS, _BLANK, hard_light(flat, above))
+        above = np.where((closed | unknown | islands)[shown][..., None], grey_of(above), above)
+    picture = np.where(tiles.ground[shown][..., None] == NO_POINTS, _BLANK, hard_light(colours[shown], above))
     return jpeg(np.rint(picture).astype(np.uint8), 150_000)
