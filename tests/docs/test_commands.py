@@ -47,6 +47,7 @@ RULES = {
     r"^python docs/licences/": "writes a page anew; a test of its own holds it",
     r"^python tests/tools/faults\.py": "runs tests for every fault, for an hour",
     r"^python tests/tools/tables\.py": "tests/lab/test_tables.py runs it",
+    r"^python tests/tools/speed\.py": "measures for a minute or more, and means little beside other tests",
     r"^python tests/tools/driven\.py": "an hour of drives",
     r"^bumpymap settings |--config map\.toml": "writes a file that is to be edited",
     r"^python tests/fuzz/": "an hour",
