@@ -14,7 +14,7 @@ import pytest
 import rasterio
 from cost_maps import make_field
 from made_frames import write_bin
-from ply_files import write_ply
+from ply_files import read_vertices, write_ply
 from pyproj import Transformer
 from route_maps import write_folder
 from route_sites import ROWS, SOUTH, WEST, lonlat, place, site
@@ -100,7 +100,7 @@ REFUSED = [
     (2, "export field --to nav2 --radius 20 --out OUT", "--radius has no effect without --around"),
     (3, "export field --to nav2 --around crs:1,2 --out OUT", "lies outside the map"),
     (3, "export field --to plan --out OUT", "pass the folder that it wrote with --route"),
-    (3, "export field --to nav2 --out field", "holds the layers of a run"),
+    (2, "export field --to nav2 --out field", "holds the layers of a survey"),
     (2, "report may --out a.json", "ends in .html"),
     (3, "report may --route june", "--route"),
     (3, "report nothing", "there is no folder"),
@@ -294,11 +294,11 @@ def test_one_scan(tmp_path):
     assert result.exit_code == 0, result.output
     rows = [line.split() for line in result.stdout.splitlines()]
     table = pq.read_table(out / "sectors.parquet").to_pydict()
+    vertices = read_vertices(out / "frames" / "frame.ply")
     for class_id, name in enumerate(("smooth", "fair", "rough")):
         row = next(row for row in rows if row[:2] == [str(class_id), name])
         assert int(row[2]) == table["class"].count(class_id)
-        points = sum(n for n, own in zip(table["points"], table["class"], strict=True) if own == class_id)
-        assert int(row[-1].replace(",", "")) == points
+        assert int(row[-1].replace(",", "")) == (vertices["class"] == class_id).sum()
     free = sum(own in (0, 1) and not held for own, held in zip(table["class"], table["obstacle"], strict=True))
     assert f"sectors: {free:,} free" in result.stdout
     assert f"{table['class'].count(None):,} not ground" in result.stdout

@@ -15,8 +15,8 @@ from ply_files import write_ply
 from small_surveys import run, write_las
 
 import bumpymap
-from bumpymap.core import FeatureSettings, Reason, TooUnknownError
-from bumpymap.layers import MapSummary, write_products as write
+from bumpymap.core import FeatureSettings, Reason, SeenSizes, TooUnknownError
+from bumpymap.layers import MapSummary, ZoneCounts, write_products as write
 from bumpymap.readers import ReadOptions, open_survey
 from bumpymap.survey import Budget, FlightLines, MapResult, estimate, ground_line
 from bumpymap.survey.advice import Outcome, advise
@@ -112,7 +112,9 @@ NOTHING = (float("nan"),) * 5
 
 
 def map_result(*, ground_only=False, **objects):
-    summary = MapSummary(100, 20_000, (100, 0, 0, 0), (0,) * 6, 0, NOTHING, NOTHING, 200.0, **objects)
+    zones = ZoneCounts(1, 100, 900.0, 1.0, 0, 0)
+    counts = (100, 20_000, (100, 0, 0, 0), (0,) * 6, 0, NOTHING, NOTHING, 200.0, 0, 0)
+    summary = MapSummary(*counts, **objects, seen=SeenSizes(), zones=zones)
     return MapResult((), summary, 20_000, ground_only, {}, {}, FlightLines())
 
 

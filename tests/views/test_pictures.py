@@ -201,7 +201,10 @@ def test_ground_between_points_has_a_shade_of_its_sector_and_red_lines_over_obst
     nothing = dict.fromkeys(("point_sector", "point_ground", "point_airborne", "point_height"), np.zeros(0, np.int32))
     stack, barred = classed.sectors, with_wall(scan, classed)[0].sectors.obstacle
     plain, hatched = (
-        paint(Scan(np.zeros((0, 3), np.float32)), with_sectors(classed, obstacle=own, **nothing)).astype(float)
+        paint(
+            Scan(np.zeros((0, 3), np.float32)),
+            replace(with_sectors(classed, obstacle=own, **nothing), point_class=np.zeros(0, np.uint8)),
+        ).astype(float)
         for own in (np.zeros_like(barred), barred)
     )
     paper = plain[5, SIDE + 5]

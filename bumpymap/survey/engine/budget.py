@@ -308,7 +308,7 @@ _LAYER_HEIGHTS, _LAYER_NUMBERS = 9, 350
 tile."""
 _START_S = 1.6
 """Time for imports, checks and the files that every run writes, s."""
-_POINT_NS = {"LAZ": 330.0, "COPC": 330.0, "LAS": 130.0, "PLY": 180.0, "PCD": 100.0}
+_POINT_NS = {"LAZ": 330.0, "COPC": 330.0, "LAS": 130.0, "PLY": 180.0, "PCD": 100.0, "GeoT": 350.0}
 """CPU time per point by format: decoding, grouping, measuring, ns."""
 _TEXT_POINT_NS, _SPILLED_POINT_NS, _TILE_NS = 600.0, 100.0, 30_000.0
 """CPU time per point of text; per point that is written to disk and read again; per tile, to classify and write it."""
