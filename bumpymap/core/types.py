@@ -392,7 +392,7 @@ def corners_join(width_m: float, reach_m: float, pixel_m: float) -> bool:
     return over >= (0.5 * width_m) ** 2 and reach_m**2 >= 2.0 * pixel_m**2
 
 
-THIN_MEASURES = 20
+THIN_MEASURES = 44
 """Length of a row of ``CostMap.thin``."""
 
 
@@ -424,7 +424,7 @@ class CostMap:
     smallest_object: NDArray[np.float32] | None = None
     """(n,) side of the narrowest standing object that would have shown with 95 %, m."""
     thin: NDArray[np.float32] | None = None
-    """(n, 20) what the rating of thin tiles needs, see `bumpymap.rating.thin_columns`; None if they are not rated."""
+    """(n, 44) what the rating of thin tiles needs, see `bumpymap.rating.thin_columns`; None if they are not rated."""
     headings: NDArray[np.float32] | None = None
     """(n, 8) C_r along each of ``AXES_DEG`` over this c_r; None if it is not asked for."""
 

@@ -126,39 +126,40 @@ _MOST_POINTS = 128
 """Points of a thin tile whose pairs are measured: 8,128 pairs."""
 _NOISE_POINTS = 32
 """Points of a dense tile whose pairs are measured: they only help to tell the noise."""
-_REACH_PX = (1.0, 2.0, 3.5, 5.5, 8.0)
-"""Upper ends of the groups of distances, px."""
-_PAIR_MEASURES = 5 + 2 * len(_REACH_PX)
+_CLOSE_PX = 1.0
+"""Distance up to which points are a close pair, px."""
+_PAIR_MEASURES = 5
 """Numbers that are measured of the pairs of a tile, see `measure_thin`."""
 
 
 def measure_thin(
     points: TilePoints, patches: PatchStack, settings: FeatureSettings, *, ground_only: bool
-) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """Measure the pairs of points of n tiles, and the filled heightmaps of thin ones.
+) -> tuple[NDArray[np.float64], tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.float32]]]:
+    """Measure the close pairs of points of n tiles, and the filled heightmaps of thin ones.
 
-    ``patches``: the same tiles, measured by `measure`; ``settings``, ``ground_only``: as for that. Returns (n, 15):
-    points used; share of the tile's nine parts that hold one; standard deviation about the plane [m]; mean absolute
-    distance from it over that; slope of the plane (tangent); then, by group of distances, sums of the squared
-    differences of pairs [m^2], and their numbers; NaN where the points span no plane. And (n, pixels, pixels)
-    plane-removed heights with all holes filled from their neighbours, however wide, m, NaN for tiles that are not thin.
+    ``patches``: the same tiles, measured by `measure`; ``settings``, ``ground_only``: as for that. Returns (n, 5):
+    points used; share of the tile's nine parts that hold one; slope of the plane (tangent); sum of the squared
+    differences of close pairs [m^2], and their number; NaN where the points span no plane. And three maps (n, pixels,
+    pixels): plane-removed heights with all holes filled from their neighbours, however wide, m, NaN for tiles that are
+    not thin; points of each pixel; variance of their heights about the plane, m^2.
     """
     grid = points.grid
     thin = (patches.coverage > 0) & (patches.coverage < DENSE_COVERAGE)
     limit = np.where(thin, _MOST_POINTS, _NOISE_POINTS)
-    pairs, reach = np.empty((len(points.col), _PAIR_MEASURES)), (np.array(_REACH_PX) * grid.pixel_size) ** 2
-    loops.measure_pairs(_measured_points(points, ground_only=ground_only), settings, limit, reach, pairs)
+    pairs, close = np.empty((len(points.col), _PAIR_MEASURES)), (_CLOSE_PX * grid.pixel_size) ** 2
+    loops.measure_pairs(_measured_points(points, ground_only=ground_only), settings, limit, close, pairs)
     at_random = -np.expm1(-patches.count / patches.grid.pixels**2)
     clustered = patches.coverage < HOLE_SHARE * at_random
     real_holes = (patches.reason == Reason.TOO_MANY_HOLES) & (patches.count >= HOLE_POINTS) & clustered
     pairs[real_holes, _SEEN] = 0.0
     if settings.min_points > FeatureSettings().min_points:
         pairs[patches.count < settings.min_points] = np.nan
-    relief_map = np.full((len(points.col), grid.pixels, grid.pixels), np.nan, np.float32)
+    shape = len(points.col), grid.pixels, grid.pixels
+    relief_map, variance, count = (np.full(shape, fill, kind) for fill, kind in ((np.nan, "f4"), (0, "f4"), (0, "i4")))
     if thin.any():
         chosen = _measured_points(choose_tiles(points, thin), ground_only=ground_only)
-        relief_map[thin] = _measured(chosen, settings, grid.pixels)[3]
-    return pairs, relief_map
+        _, _, variance[thin], relief_map[thin], count[thin] = _measured(chosen, settings, grid.pixels)
+    return pairs, (relief_map, count, variance)
 
 
 _OBJECT_SCALARS = 4

@@ -1,7 +1,6 @@
 // How the points of a tile differ, pair by pair.
 //
-// Pixels say little about a tile with a few points; its pairs of points say more: the mean square of their difference
-// over their distance is the structure function of the ground, plus twice the noise variance at every distance. Ours.
+// The mean square of the differences of points close together is twice the noise variance, and a little ground. Ours.
 #include <nanobind/stl/tuple.h>
 
 #include "bumpymap/patches/heightmap.hpp"
@@ -11,15 +10,13 @@
 namespace bumpy {
 namespace {
 
-// Groups of distances.
-constexpr Index groups = 5;
 // Points on a line, see `slopes_of`.
 constexpr double line_of_points = 1e-6;
 // Points that are measured, at least.
 constexpr Index least_points = 4;
 
-// Columns of what is filled; behind them squared differences and numbers of pairs, by group.
-enum Measure : Index { POINTS, SEEN_SHARE, SPREAD, FLATNESS, TANGENT, SQUARES };
+// Columns of what is filled.
+enum Measure : Index { POINTS, SEEN_SHARE, TANGENT, SQUARES, PAIRS };
 
 // Place and height above the plane of points, m.
 struct Heights {
@@ -74,28 +71,22 @@ double seen_share(const Heights& points, double side) {
     return share_of_parts(seen);
 }
 
-// Adds squared differences to `out`, and numbers of pairs behind them, by group of distances.
-void add_pairs(const Heights& points, Array<const double> reach, Array<double> out) {
+// Fills the sum of the squared differences of close pairs, and their number; `close`: square of a distance, m^2.
+void add_pairs(const Heights& points, double close, Array<double> out) {
     const auto& [x, y, h] = points;
-    // One more, for the pairs that are too far apart: a test without a branch, which could not be foreseen.
-    double squares[groups + 1] = {}, pairs[groups + 1] = {};
+    double squares = 0.0, pairs = 0.0;
     for (Index i = 0; i < x.size(); ++i)
         for (Index j = 0; j < i; ++j) {
             const double u = x[i] - x[j], v = y[i] - y[j], w = h[i] - h[j];
-            const double far = u * u + v * v;
-            Index group = 0;
-            for (Index k = 0; k < groups; ++k) group += far >= reach[k];
-            squares[group] += w * w;
-            pairs[group] += 1.0;
+            const bool is_close = u * u + v * v < close;
+            squares += is_close ? w * w : 0.0;
+            pairs += is_close ? 1.0 : 0.0;
         }
-    for (Index k = 0; k < groups; ++k) {
-        out[k] = squares[k];
-        out[groups + k] = pairs[k];
-    }
+    out[SQUARES] = squares;
+    out[PAIRS] = pairs;
 }
 
-void measure_tile(
-    const Heights& all, double side, const FeatureSettings& settings, Array<const double> reach, Array<double> out) {
+void measure_tile(const Heights& all, double side, const FeatureSettings& settings, double close, Array<double> out) {
     auto [east, north] = take_plane_off(all);
     Heights points = all;
     const Index n = drop_strays(all, settings.stray_gap, settings.stray_points);
@@ -106,25 +97,16 @@ void measure_tile(
         north += more.y;
     }
     if (std::isnan(east)) return;
-    double squares = 0.0, sizes = 0.0;
-    for (const double height : points.h) {
-        squares += height * height;
-        sizes += std::abs(height);
-    }
-    const double spread = std::sqrt(squares / static_cast<double>(std::max<Index>(n - 3, 1)));
     out[POINTS] = static_cast<double>(n);
     out[SEEN_SHARE] = seen_share(points, side);
-    out[SPREAD] = spread;
-    out[FLATNESS] = spread > 0.0 ? sizes / static_cast<double>(n) / spread : 0.0;
     out[TANGENT] = std::sqrt(east * east + north * north);
-    add_pairs(points, reach, out.slice(SQUARES, out.size()));
+    add_pairs(points, close, out);
 }
 
-// Measures the pairs of the first `limit` points of every tile; NaN where the points span no plane. `reach`: upper ends
-// of the groups of distances, as squares, m^2.
+// Measures the pairs of the first `limit` points of every tile; NaN where the points span no plane. `close`: square
+// of the distance of close pairs, m^2.
 void measure_pairs(
-    TilePoints points, FeatureSettings settings, Array<const Index> limit, Array<const double> reach,
-    Array<double, 2> out) {
+    TilePoints points, FeatureSettings settings, Array<const Index> limit, double close, Array<double, 2> out) {
     const double side = points.grid.tile_size;
     for (Index t = 0; t < points.tiles(); ++t) {
         const Index first = points.starts[t], n = std::min(points.starts[t + 1] - first, limit[t]);
@@ -136,7 +118,7 @@ void measure_pairs(
         shift(points.easting.slice(first, first + n), static_cast<double>(points.col[t]) * side, 0.0, own.x);
         shift(points.northing.slice(first, first + n), static_cast<double>(points.row[t]) * side, 0.0, own.y);
         shift(points.upward.slice(first, first + n), points.upward[first], 0.0, own.h);
-        measure_tile(own, side, settings, reach, measures);
+        measure_tile(own, side, settings, close, measures);
     }
 }
 

@@ -28,6 +28,10 @@ from .ride.correction import (
     ride_features as ride_features,
     subtract_noise as subtract_noise,
 )
+from .ride.ground_power import (
+    Strength as Strength,
+    find_strengths as find_strengths,
+)
 from .ride.line import (
     felt_along as felt_along,
     match_tiles as match_tiles,
@@ -72,7 +76,6 @@ from .ride.thin import (
     fail_terms as fail_terms,
     is_rateable as is_rateable,
     log_points as log_points,
-    pool_noise as pool_noise,
     rate_thin as rate_thin,
     ride_terms as ride_terms,
     ride_weight as ride_weight,

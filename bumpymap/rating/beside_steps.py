@@ -42,7 +42,7 @@ def rate_beside_steps(
     ``heights`` (n, pixels, pixels): mean height of the ground in each pixel, m; NaN where it is not known. ``line``,
     ``standing`` (n, pixels, pixels): pixels of the tiles' own steps that the vehicle cannot cross; of obstacles and
     what was not seen. ``whole``: C_r and p_fail of whole tiles, (n,) each: what is left of them is no worse. ``thin``
-    (n, 20): of `thin_columns`. Returns (n, pixels, pixels) ground beside the steps that the vehicle cannot drive on,
+    (n, 44): of `thin_columns`. Returns (n, pixels, pixels) ground beside the steps that the vehicle cannot drive on,
     too steep or where too many fail; C_r [rad/m] and p_fail of the rest, (n,) each, NaN where nothing is left. Raises
     BadInputError if the ride model of the calibration is damaged.
     """
@@ -116,7 +116,7 @@ def _ride(
     """Return C_r [rad/m] and p_fail of reliefs by the number of ``known`` pixels and slope [degrees]; or NaN."""
     model, pixels = _model(calibration), relief.shape[1]
     points, squares, pairs = (
-        thin[:, THIN_COLUMNS.index(name)].astype(np.float64) for name in ("points", "squares_1", "pairs_1")
+        thin[:, THIN_COLUMNS.index(name)].astype(np.float64) for name in ("points", "squares", "pairs")
     )
     with np.errstate(invalid="ignore", divide="ignore"):
         of_point = np.nan_to_num(0.5 * squares / pairs, posinf=0.0)

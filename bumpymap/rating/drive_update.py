@@ -413,7 +413,6 @@ def _moved_thin(record: dict[str, Any], move: LogMove) -> dict[str, Any]:
         c_r=_moved_terms(old.c_r, move),
         spread=(_short(old.spread[0] + np.log(move.widening * move.slope)), *old.spread[1:]),
         own_spread=_short(move.sd(old.own_spread, np.exp(move.middle))),
-        prior=(_short(float(move.log(np.array(old.prior[0])))), _short(move.slope * old.prior[1])),
     )
     return record | new.to_record()
 

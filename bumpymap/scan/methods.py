@@ -101,8 +101,8 @@ class SectorRater:
         laid = {name: self._lay(values, patches, NO_CLASS) for name, values in found.items()}
         first = BlockRating(**laid, reason=self._lay(patches.reason, patches, Reason.NO_POINTS))
         coverage, slope = (self._lay(values, patches) for values in (patches.coverage, patches.slope))
-        pairs, relief_map = measure_thin(points, patches, settings, ground_only=False)
-        columns = thin_columns(pairs, relief_map, patches.count, self._ride.operator)
+        pairs, maps = measure_thin(points, patches, settings, ground_only=False)
+        columns = thin_columns(pairs, maps, patches.count, self._ride.operator)
         columns[patches.reason != Reason.OK] = np.nan
         own = rate_thin(self._lay(columns, patches), first, coverage, slope, calibration)
         # A sector has no bar of its own for slopes: ground that is too steep fails there.

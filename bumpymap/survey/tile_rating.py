@@ -172,5 +172,5 @@ class TileRating:
         """
         if self.ride is None:
             return None
-        pairs, relief_map = measure_thin(points, patches, self.config.features, ground_only=ground_only)
-        return thin_columns(pairs, relief_map, count, self.ride.operator)
+        pairs, maps = measure_thin(points, patches, self.config.features, ground_only=ground_only)
+        return thin_columns(pairs, maps, count, self.ride.operator)

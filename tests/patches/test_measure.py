@@ -192,7 +192,7 @@ def test_strays_equal_those_of_the_definition(seed, most, spread):
 # ---- thin tiles ----
 
 SETTINGS = FeatureSettings()
-REACH = np.array([1.0, 2.0, 3.5, 5.5, 8.0]) * 0.2
+CLOSE = 0.2
 
 
 def thin_of(points, *, ground_only=False):
@@ -207,10 +207,8 @@ def plain_pairs(x, y, z):
     slope, *_ = np.linalg.lstsq(plane, z, rcond=None)
     h = z - plane @ slope
     i, j = np.triu_indices(len(x), 1)
-    group = np.searchsorted(REACH, np.hypot(x[i] - x[j], y[i] - y[j]), side="right")
-    spread = np.sqrt((h**2).sum() / (len(x) - 3))
-    squares = [((h[i] - h[j]) ** 2)[group == k].sum() for k in range(5)]
-    return [spread, np.abs(h).mean() / spread, np.hypot(*slope[:2]), *squares, *np.bincount(group, minlength=6)[:5]]
+    close = np.hypot(x[i] - x[j], y[i] - y[j]) < CLOSE
+    return [np.hypot(*slope[:2]), ((h[i] - h[j]) ** 2)[close].sum(), close.sum()]
 
 
 def test_pairs_of_points_are_those_of_numpy():
@@ -229,10 +227,12 @@ def test_heightmaps_of_thin_tiles_are_filled_and_dense_ones_left_out():
     rng = np.random.default_rng(5)
     x = np.concatenate((600_000 + rng.uniform(0, 3, 16), 600_003 + rng.uniform(0, 3, 2000)))
     y, z = 3_999_999 + rng.uniform(0, 3, len(x)), rng.normal(0, 0.05, len(x))
-    thin = thin_of(block_of(x, y, z))
-    assert np.isfinite(thin[1][0]).all()
-    assert np.isnan(thin[1][1]).all()
-    assert thin[0][1, 5:].sum() > 0  # its pairs still tell the noise
+    pairs, (relief, count, variance) = thin_of(block_of(x, y, z))
+    assert np.isfinite(relief[0]).all()
+    assert np.isnan(relief[1]).all()
+    assert count.sum(axis=(1, 2)).tolist() == [16, 0]
+    assert (variance[count == 1] == 0.0).all()
+    assert pairs[1, 3:].sum() > 0  # its pairs still tell the noise
 
 
 def test_neither_stray_points_nor_those_that_are_no_ground_are_measured():

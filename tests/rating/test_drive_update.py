@@ -20,6 +20,7 @@ from bumpymap.rating.drive_update import (
     moved_calibration,
     respond,
 )
+from bumpymap.rating.ride.ground_power import Strength
 from bumpymap.rating.ride.motion_operator import Rides
 from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel
 
@@ -205,12 +206,12 @@ def test_predictions_inside_the_range_are_the_moved_ones(name):
 def test_thin_tiles_steps_and_the_table_move_too(name):
     old = Calibration.shipped(name)
     move, new = moved_by(old)
-    relief = np.exp(np.mean(ThinModel.from_record(old.thin).relief))
+    ground = np.mean(ThinModel.from_record(old.thin).relief)
     columns = np.full((1, len(THIN_COLUMNS)), 0.3)
-    columns[:, :3] = 30.0, 1.0, relief
-    was, now = (ThinModel.from_record(each.thin).predict(columns, np.array([0.01])) for each in (old, new))
+    columns[:, :2] = 30.0, 1.0
+    strength = Strength(*np.array([[ground], [0.1], [-4.5]]))
+    was, now = (ThinModel.from_record(each.thin).predict(columns, strength) for each in (old, new))
     assert now.log_c_r == pytest.approx(move.log(was.log_c_r))
-    assert ThinModel.from_record(new.thin).prior[0] == pytest.approx(move.log(ThinModel.from_record(old.thin).prior[0]))
     assert np.array_equal(now.p_fail, was.p_fail)
     assert new.steps["tile"]["c_r"] == pytest.approx(np.exp(move.log(np.log(old.steps["tile"]["c_r"]))))
     assert new.steps["tile"]["p_fail"] == old.steps["tile"]["p_fail"]

@@ -155,7 +155,7 @@ def test_included_vehicles_are_calibrated_for_three_sizes_with_one_meaning_of_th
     for each in found:
         assert each.tile_size / each.pixels == pytest.approx(0.2)
         assert RideModel(each).correction.origin["spearman"] > 0.94
-        assert each.thin["prior"]
+        assert each.thin["origin"]["spearman"] > 0.7
         limits = (0.0, *each.class_limits, float("inf"))
         assert all(low <= mean < high for low, mean, high in zip(limits, each.class_c_r, limits[1:], strict=False))
 

@@ -190,7 +190,7 @@ def refit(calibration: Calibration) -> Calibration:
     settings, driven = calibrated_settings(calibration), library_terrains(calibration)
     terrains = [library_terrain(settings, terrain.kind, terrain.index) for terrain in driven]
     ride = fit_ride(settings.profile, terrains, driven)
-    thin = fit_thin_surveys(settings.profile, terrains, ride, calibration.class_limits[0])
+    thin = fit_thin_surveys(settings.profile, terrains, ride)
     made = replace(calibration, ride=ride, thin=thin)
     if made.steps:  # its crossings stay
         made = replace(made, steps=made.steps | {"tile": _rated_tiles(made, settings)})

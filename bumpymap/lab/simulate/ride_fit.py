@@ -4,7 +4,7 @@ The correction of the geometry is fitted to the drives. The noise correction nee
 the same ground at several densities and noise levels, denoised as for a map, against the ground without noise.
 
 For thin surveys the library is surveyed with few points, several noises and holes. The truth is what the ride model
-predicts for the ground without survey errors. The noise of each survey is pooled from its tiles, as in a map.
+predicts for the ground without survey errors. The noise is found beside the tiles of each survey, as in a map.
 
 Outliers are weighted down as Huber does, but with the size of the errors that each row states. scikit-learn's
 HuberRegressor takes one size for all rows: on the warthog's library its C_r is off by up to 21 % (median 1.8 %); on its
@@ -31,13 +31,14 @@ from bumpymap.rating import (
     DrivenTerrain,
     RideOperator,
     Rides,
+    Strength,
     ThinModel,
     Vehicle,
     denoise,
     fail_features,
     fail_terms,
+    find_strengths,
     log_points,
-    pool_noise,
     ride_features,
     ride_terms,
     roll_over,
@@ -100,20 +101,23 @@ _NOISE_SEED = 20_000
 """Seed of the first of these surveys; each has its own."""
 _LEAST_C_R = 0.001
 """Relative errors are not defined below this C_r, rad/m."""
-_THIN_DENSITIES = (0.5, 0.75, 1.0, 1.3, 1.7, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 20.0, 30.0)
+_THIN_DENSITIES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0)
 """Points per m2 of thin surveys: from four points a tile to where the heightmap alone tells."""
-_THIN_NOISES_M = (0.0, 0.005, 0.01, 0.02, 0.04)
+_THIN_NOISES_M = (0.0, 0.01, 0.03)
 """Noise of a point in them."""
 _CUT_DENSITIES = (2.0, 4.0, 12.0)
 """Points per m2 of surveys that see a part of each tile alone."""
-_SEED, _BARE_SEED = 40_000, 40_500
-"""Seeds of the first thin survey, and of the first one of level ground."""
-_GROUPS = 2
-"""Parts of the library that pool their noise, each about as large as a block of tiles."""
-_FLOOR = 0.05
-"""C_r below this share of the first class limit is raised to it: smoother ground is of no use to tell apart."""
+_SEED, _BARE_SEED, _LIKE_SEED = 40_000, 40_500, 41_000
+"""Seeds of the first thin survey, of the first one of level ground, and of what lies beside what."""
+_UNLIKE = 0.5
+"""Standard deviation of ln C_r between neighbours in them. Chosen: tiles of real sites differ as much."""
+_USUAL_ERROR, _CERTAIN = 0.4, 0.3
+"""Error of ln of the ground's strength at which a tile weighs a quarter: a fit to what is not known is flat. Share of
+the tiles, those of least error, that tell the ride over ground of one strength."""
+_LOW_GROUND_M = 0.03
+"""Ground below moves a vehicle little, in proportion to its strength."""
 _BEYOND = 0.005
-"""Share of the tiles beyond either end of the trained relief."""
+"""Share of the tiles beyond the upper end of the trained strengths."""
 _BARE_TILES = 40
 """Tiles of level ground in each survey that tells what noise alone does."""
 _MANY_POINTS = 1e3
@@ -336,101 +340,117 @@ def _noisy_patches(terrains: Sequence[Terrain], truth: Floats, operator: RideOpe
     return np.concatenate(found, axis=1)
 
 
-def fit_thin_surveys(
-    profile: Vehicle, terrains: Sequence[Terrain], ride: dict[str, Any], first_limit: float
-) -> dict[str, Any]:
+def fit_thin_surveys(profile: Vehicle, terrains: Sequence[Terrain], ride: dict[str, Any]) -> dict[str, Any]:
     """Fit the model of thin surveys of a vehicle; returns plain JSON for the calibration's ``thin`` entry.
 
-    ``terrains``: the ground of the library; ``ride``: the calibration's ride model; ``first_limit``: C_r between class
-    0 and 1, rad/m.
+    ``terrains``: the ground of the library; ``ride``: the calibration's ride model.
     """
     operator = RideOperator.of(profile.to_dict(), terrains[0].tile_size, terrains[0].pixels)
     correction = Correction.from_record(ride)
     relief, slope = relief_and_slope([terrain.heights for terrain in terrains], terrains[0].tile_size)
     none = np.zeros(len(terrains))
     truth = correction.predict(roll_over(relief, operator), slope, none, none + _MANY_POINTS)
-    log_c_r = np.maximum(truth.log_c_r, np.log(_FLOOR * first_limit))
-    columns, noise, terrain = (np.concatenate(part) for part in zip(*_surveys(terrains, operator), strict=True))
+    columns, strength, terrain = zip(*_surveys(terrains, truth.log_c_r, operator), strict=True)
     usual = float(np.hypot(np.exp(np.mean(correction.spread)), correction.model_error))
     felt = _noise_ride(terrains[0], operator)
-    return _fit_thin(columns, noise, terrain, log_c_r[terrain], truth.p_fail[terrain], felt, usual).to_record()
+    strengths, tile = Strength(*np.concatenate(strength, axis=1)), np.concatenate(terrain)
+    given = np.concatenate(columns), strengths, tile, truth.log_c_r[tile], truth.p_fail[tile]
+    return _fit_thin(*given, felt, usual).to_record()
 
 
 def _fit_thin(
-    columns: Floats, noise: Floats, terrain: NDArray[np.int64], log_c_r: Floats, p_fail: Floats,
-    felt: tuple[float, float], own_spread: float,
+    columns: Floats, strength: Strength, terrain: NDArray[np.int64], log_c_r: Floats, p_fail: Floats,
+    of_noise: tuple[float, float], own_spread: float,
 ) -> ThinModel:  # fmt: skip
     """Fit all coefficients to n tiles of thin surveys, in the terms of `ThinModel`.
 
-    ``noise`` (n,): as pooled from the tiles of its survey, m; ``terrain`` (n,): its number, all surveys of one are on
-    the same side of a cross-validation; ``log_c_r``, ``p_fail`` (n,): of the ground without survey errors.
+    ``strength`` (n,): beside tiles that are alike; ``terrain`` (n,): its number, all surveys of one are on the same
+    side of a cross-validation; ``log_c_r``, ``p_fail`` (n,): of the ground without survey errors.
     """
-    height = ride_terms(columns, noise, felt, (-np.inf, np.inf))[:, 1]
-    relief = (float(np.quantile(height, _BEYOND)), float(np.quantile(height, 1 - _BEYOND)))
-    terms = ride_terms(columns, noise, felt, relief)
-    target = log_c_r - (height - np.clip(height, *relief))
+    ground, error = strength.ground, strength.ground_sd
+    relief = (float(np.log(_LOW_GROUND_M)), float(np.quantile(ground, 1 - _BEYOND)))
+    sure = 1.0 / (1.0 + (error / _USUAL_ERROR) ** 2) ** 2
+    ride = np.log(np.maximum(columns[:, THIN_COLUMNS.index("pitch_change")], _LEAST_C_R))
+    certain = error < np.quantile(error, _CERTAIN)
+    felt = (*of_noise, float(np.median((ride - ground)[certain])))
+    terms = ride_terms(columns, strength, felt, relief)
+    target = log_c_r - (ground - np.clip(ground, *relief))
     predicted = np.empty(len(target))
     for part in range(_THIN_FOLDS):
         rest = terrain % _THIN_FOLDS != part
-        predicted[~rest] = terms[~rest] @ _robust_fit(terms[rest], target[rest])
+        predicted[~rest] = terms[~rest] @ _robust_fit(terms[rest], target[rest], sure[rest])
     residual = target - predicted
     # ln of the size of the residuals; then both sides are scaled so that a tenth of the residuals lie beyond each.
-    widths = spread_terms(columns, noise, felt, relief)
-    spread = _robust_fit(widths, np.log(np.maximum(np.abs(residual), _LEAST_RESIDUAL)))
-    low, high = np.quantile(residual / np.exp(widths @ spread), (TAIL, 1 - TAIL)) / NORMAL_TAIL
+    widths = spread_terms(columns, strength, felt, relief)
+    spread = _robust_fit(widths, np.log(np.maximum(np.abs(residual), _LEAST_RESIDUAL)), sure)
+    known = np.hypot(np.exp(widths @ spread), error)
+    low, high = np.quantile(residual / known, (TAIL, 1 - TAIL)) / NORMAL_TAIL
     # The library holds little ground that fails, a survey may hold nothing else: failed and completed drives weigh
     # alike, so that a tile about which the points say nothing is as likely to fail as not.
     failing = float(np.clip(p_fail.mean(), 1e-6, 1 - 1e-6))
     balance = 0.5 * (p_fail / failing + (1 - p_fail) / (1 - failing))
-    fails = fail_terms(columns, noise, felt)
+    fails = fail_terms(columns, strength, felt)
     return ThinModel(
         relief=relief,
         felt=felt,
-        c_r=tuple(_robust_fit(terms, target).tolist()),
+        c_r=tuple(_robust_fit(terms, target, sure).tolist()),
         spread=tuple(spread.tolist()),
         sides=(float(-low), float(high)),
         own_spread=own_spread,
         fail=tuple(_fit_logistic(fails, balance * p_fail, balance * (1 - p_fail), _THIN_FAIL_RIDGE).tolist()),
-        prior=(float(np.mean(log_c_r)), float(np.std(log_c_r))),
         origin={
             "tiles": len(target),
             "terrains": len(np.unique(terrain)),
             "columns": list(THIN_COLUMNS),
-            **_scores(target, predicted),
+            **_scores(log_c_r, predicted + log_c_r - target),
         },
     )
 
 
-def _robust_fit(terms: Floats, target: Floats) -> Floats:
-    """Return the coefficients (k,) of terms (n, k), the first constant; outliers get less weight (Huber)."""
+def _robust_fit(terms: Floats, target: Floats, sure: Floats) -> Floats:
+    """Return the coefficients (k,) of terms (n, k), the first constant.
+
+    ``sure`` (n,): weights; outliers get less, as Huber has it.
+    """
     scale = np.maximum(terms.std(axis=0), 1e-9)
     scale[0] = 1.0
-    weight, found = np.ones(len(target)), np.zeros(len(scale))
+    weight, found = sure, np.zeros(len(scale))
     for _ in range(_THIN_TURNS):
         found = _weighted_ridge(terms, target, weight, scale, _THIN_RIDGE)
         size = np.abs(target - terms @ found)
-        weight = np.minimum(1.0, _THIN_HUBER * _MAD_TO_SD * np.median(size) / np.maximum(size, 1e-9))
+        weight = sure * np.minimum(1.0, _THIN_HUBER * _MAD_TO_SD * np.median(size) / np.maximum(size, 1e-9))
     return found
 
 
 def _surveys(
-    terrains: Sequence[Terrain], operator: RideOperator
-) -> Iterator[tuple[Floats, Floats, NDArray[np.int64]]]:  # fmt: skip
-    """Yield columns, pooled noise and terrain of the tiles of every survey."""
+    terrains: Sequence[Terrain], log_c_r: Floats, operator: RideOperator
+) -> Iterator[tuple[Floats, Strength, NDArray[np.int64]]]:  # fmt: skip
+    """Yield columns, strengths and terrain of the tiles of every survey."""
     conditions = [(density, noise, False) for density in _THIN_DENSITIES for noise in _THIN_NOISES_M]
     conditions += [(density, noise, True) for density in _CUT_DENSITIES for noise in _THIN_NOISES_M[::2]]
-    names = ("points", "seen", "spread", "squares_1", "pairs_1")
     for number, (density, noise, cut) in enumerate(conditions):
         columns, tile = survey_columns(terrains, density, noise, _SEED + number, operator, cut=cut)
-        points, seen, spread, squares, pairs = (columns[:, THIN_COLUMNS.index(name)] for name in names)
+        points, seen = (columns[:, THIN_COLUMNS.index(name)] for name in ("points", "seen"))
         spanned = (seen > 0) | (points < SPANNED_POINTS)
         known = np.isfinite(columns).all(axis=1) & (points >= THIN_POINTS) & spanned
-        pooled = np.empty(len(tile))
-        for group in range(_GROUPS):
-            own = tile % _GROUPS == group
-            measures = squares[own], pairs[own], spread[own] ** 2
-            pooled[own] = pool_noise(*measures, lambda sums: sums.sum(axis=-1, keepdims=True))[1]
-        yield columns[known], pooled[known], tile[known]
+        columns, tile = columns[known], tile[known]
+        yield columns, strengths_of(columns, log_c_r[tile]), tile
+
+
+def strengths_of(columns: Floats, log_c_r: Floats) -> Strength:
+    """Return the strengths of n tiles in a square where each lies beside such as it is, give or take `_UNLIKE`."""
+    likeness = log_c_r + _UNLIKE * np.random.default_rng(_LIKE_SEED).standard_normal(len(log_c_r))
+    first, side = THIN_COLUMNS.index("wave_0"), int(np.ceil(np.sqrt(len(columns))))
+    place = np.arange(side**2).reshape(side, side)
+    place[1::2] = place[1::2, ::-1].copy()  # to and fro: the end of a row is beside the next
+    place = place.ravel().argsort()[: len(columns)]
+    order = np.argsort(likeness, kind="stable")
+    sums = np.full((side**2, columns.shape[1] - first), np.nan, np.float32)
+    sums[place] = columns[order, first:]
+    found = np.empty((3, len(columns)))
+    around, _ = find_strengths(sums.reshape(side, side, -1))
+    found[:, order] = [values.ravel()[place] for values in around]
+    return Strength(*found)
 
 
 def survey_columns(
@@ -445,8 +465,8 @@ def survey_columns(
     for block in survey_terrains(terrains, density, noise_m, seed).blocks():
         points = _cut(block) if cut else block
         patches = measure(points, settings, ground_only=False)
-        pairs, relief_map = measure_thin(points, patches, settings, ground_only=False)
-        columns.append(thin_columns(pairs, relief_map, patches.count, operator).astype(np.float64))
+        pairs, maps = measure_thin(points, patches, settings, ground_only=False)
+        columns.append(thin_columns(pairs, maps, patches.count, operator).astype(np.float64))
         tile.append(patches.col)
     return np.concatenate(columns), np.concatenate(tile)
 
@@ -471,7 +491,7 @@ def _cut(points: TilePoints) -> TilePoints:
 
 
 def _noise_ride(like: Terrain, operator: RideOperator) -> tuple[float, float]:
-    """Return what noise alone makes of level ground, as `ThinModel.felt`: ln of the pitch change over the noise."""
+    """Return ln of the pitch change over the noise on level ground, as the first two of `ThinModel.felt`."""
     side, noise = like.pixels * FINE, _THIN_NOISES_M[-1]
     level = [Terrain("level", np.zeros((side, side)), like.tile_size)] * _BARE_TILES
     names = [THIN_COLUMNS.index(name) for name in ("points", "pitch_change")]

@@ -99,8 +99,8 @@ class Coefficients:
             made.require_lengths()
         except (LookupError, TypeError, ValueError) as error:
             raise BadInputError(
-                f"{cls.model} of the calibration is damaged: {error!r}. Make the calibration again with: "
-                "bumpymap calibrate"
+                f"{cls.model} of the calibration is damaged: {error!r}. If an earlier version made it, fit its drives "
+                "again with: python -m bumpymap.lab.simulate.refit FILE. Else make it again with: bumpymap calibrate"
             ) from error
         return made
 
