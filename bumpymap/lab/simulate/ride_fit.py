@@ -445,10 +445,10 @@ def strengths_of(columns: Floats, log_c_r: Floats) -> Strength:
     place[1::2] = place[1::2, ::-1].copy()  # to and fro: the end of a row is beside the next
     place = place.ravel().argsort()[: len(columns)]
     order = np.argsort(likeness, kind="stable")
-    sums = np.full((side**2, columns.shape[1] - first), np.nan, np.float32)
-    sums[place] = columns[order, first:]
-    found = np.empty((3, len(columns)))
-    around, _ = find_strengths(sums.reshape(side, side, -1))
+    laid = np.full((side**2, columns.shape[1]), np.nan, np.float32)
+    laid[place] = columns[order]
+    laid, found = laid.reshape(side, side, -1), np.empty((3, len(columns)))
+    around, _ = find_strengths(laid[..., first:], laid[..., 3:5])
     found[:, order] = [values.ravel()[place] for values in around]
     return Strength(*found)
 

@@ -22,8 +22,9 @@ _LONGEST, _SHORTEST = 4, 14
 """Half waves along a tile up to which waves are summed, one by one; and up to which the ground has power."""
 WAVE_SUMS = 34
 """Numbers that are left of the points of a tile: degrees of freedom, and a tridiagonal matrix of 17 rows."""
-_GROUND_M, _NOISE_M = np.exp(np.arange(-6.9, 0.5, 0.35)), np.exp(np.arange(-6.2, -1.8, 0.35))
-"""Standard deviations that are tried: of ground about its plane, 1 mm to 1.2 m; of noise, 2 mm to 0.14 m."""
+_GROUND_M, _NOISE_M = np.exp(np.arange(-6.9, 0.5, 0.35)), np.exp(np.arange(-6.2, -2.6, 0.35))
+"""Standard deviations that are tried: of ground about its plane, 1 mm to 1.2 m; of noise, 2 mm to 0.07 m: no
+survey has more, and rubble of which each stone holds one point must not pass for noise."""
 _USUAL = ((-3.0, 1.5), (-4.2, 1.0))
 """Mean and standard deviation of ln of both strengths [m] before any neighbour is known: counts as one neighbour."""
 _LEAST_SD = (0.3, 0.15)
@@ -32,6 +33,11 @@ _FREEDOM = 4.0
 """Degrees of freedom of Student's distribution of strengths around a tile: a kerb is unlike its neighbours."""
 _MOST_OWN = 0.6
 """Most that ln of a tile's noise differs from that around it: what is beyond, stones and tufts, is ground."""
+_CLOSE_SHARE = 0.036
+"""Share of the ground's power in the half mean square of height differences at 0.13 m, the mean distance of the pairs:
+of that spectrum, in closed form."""
+_PAIR_WEIGHT = 0.5
+"""Degrees of freedom of a close pair: some of them share a point."""
 _NEAR, _ROUNDS = 2, 3
 """Tiles to each side whose strengths are the prior of one, and how often it is improved."""
 POWER_RING = _NEAR * _ROUNDS
@@ -81,15 +87,19 @@ def wave_sums(
     return sums
 
 
-def find_strengths(sums: NDArray[np.float32]) -> tuple[Strength, Strength]:
+def find_strengths(sums: NDArray[np.float32], pairs: NDArray[np.float32]) -> tuple[Strength, Strength]:
     """Find the strengths of a rectangle of tiles, (rows, cols), from their sums, (rows, cols, ``WAVE_SUMS``).
 
+    ``pairs`` (rows, cols, 2): sum of the squared height differences of close pairs of points, m^2, and their number.
     Twice: with the ground of neighbours, and of each tile alone under the noise that it shares with them.
     """
     known = np.isfinite(sums[..., 0])
     found = np.empty((known.size, len(_NOISE_M), len(_GROUND_M)), np.float32)
     flat = np.ascontiguousarray(sums.reshape(-1, WAVE_SUMS))
     loops.weigh_strengths(flat, _NOISE_M, _GROUND_M, _waves(_SHORTEST + 1)[1], found)
+    squares, number = np.where(known.reshape(-1, 1), pairs.reshape(-1, 2), 0.0).T[..., None, None].astype(np.float32)
+    near = 2.0 * (_NOISE_M[:, None] ** 2 + _CLOSE_SHARE * _GROUND_M**2).astype(np.float32)
+    found -= 0.5 * _PAIR_WEIGHT * (number * np.log(near) + squares / near)
     likelihood = np.exp(found - found.max(axis=(1, 2), keepdims=True))
     (mean_a, sd_a), (mean_s, sd_s) = _USUAL
     usual = np.array([mean_a, sd_a**2, mean_s, sd_s**2])

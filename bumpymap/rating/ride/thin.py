@@ -238,7 +238,8 @@ def rate_thin(
     with np.errstate(all="ignore"):  # of tiles without points
         sums = np.where(asked[..., None], columns[..., _MEASURED:], np.float32(np.nan))
         around, alone = (
-            Strength(*(_without(values, ring).ravel() for values in each)) for each in find_strengths(sums)
+            Strength(*(_without(values, ring).ravel() for values in each))
+            for each in find_strengths(sums, columns[..., 3:5])
         )
         flat = _without(columns, ring).reshape(-1, len(THIN_COLUMNS)).astype(np.float64)
         thin_tiles = model.predict(flat, around)

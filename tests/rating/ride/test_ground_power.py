@@ -9,6 +9,7 @@ from bumpymap.rating import find_strengths
 from bumpymap.rating.ride.ground_power import POWER_RING, WAVE_SUMS, wave_sums
 
 PIXELS, SIDE = 15, 20
+NO_PAIRS = np.zeros((SIDE, SIDE, 2), np.float32)
 
 
 def cosine_waves():
@@ -65,13 +66,13 @@ def test_the_likelihood_is_that_of_normal_heights():
 @pytest.mark.parametrize("points", [18, 36, 90, 225])
 @pytest.mark.parametrize("ground", [0.01, 0.05])
 def test_noise_and_ground_are_distinguished_at_any_number_of_points(points, ground):
-    around, _ = find_strengths(square(ground, 0.02, points=points))
+    around, _ = find_strengths(square(ground, 0.02, points=points), NO_PAIRS)
     assert np.exp(np.median(around.ground)) == pytest.approx(ground, rel=0.3)
     assert np.exp(np.median(around.noise)) == pytest.approx(0.02, rel=0.15 if ground < 0.02 else 0.5)
 
 
 def test_neighbours_say_what_a_tile_cannot():
-    around, alone = find_strengths(square(0.01, 0.02))
+    around, alone = find_strengths(square(0.01, 0.02), NO_PAIRS)
     inner = np.s_[5:-5, 5:-5]
     truth = np.log(0.01)
     assert np.std(around.ground[inner]) < 0.8 * np.std(alone.ground[inner])
@@ -79,10 +80,19 @@ def test_neighbours_say_what_a_tile_cannot():
     assert (around.ground_sd < alone.ground_sd)[inner].mean() > 0.8
 
 
+def test_what_close_pairs_share_is_ground():
+    """Short waves and noise are alike far apart: pairs of points close together differ by the noise alone."""
+    sums, pairs = square(0.01, 0.02), np.zeros((SIDE, SIDE, 2), np.float32)
+    pairs[..., 1], pairs[..., 0] = 40, 40 * 2 * 0.008**2
+    apart, together = (find_strengths(sums, each)[0] for each in (NO_PAIRS, pairs))
+    assert np.exp(np.median(together.noise)) == pytest.approx(0.008, rel=0.4)
+    assert np.median(together.ground) > np.median(apart.ground) + 0.5
+
+
 def test_a_rough_tile_stays_rough_among_smooth_ones():
     sums = square(0.01, 0.01)
     sums[10, 10] = wave_sums(*tiles(np.random.default_rng(5), 1, 0.15, 0.01))[0]
-    around, alone = find_strengths(sums)
+    around, alone = find_strengths(sums, NO_PAIRS)
     assert around.ground[10, 10] > alone.ground[10, 10] - 0.15
     assert around.ground[10, 10] > np.median(around.ground) + 1.5
 
@@ -93,7 +103,7 @@ def test_tiles_beyond_the_ring_have_no_part():
     far = np.ones((SIDE, SIDE), np.bool_)
     far[10 - POWER_RING : 11 + POWER_RING, 10 - POWER_RING : 11 + POWER_RING] = False
     other[far] = np.nan
-    for found, again in zip(find_strengths(sums), find_strengths(other), strict=True):
+    for found, again in zip(find_strengths(sums, NO_PAIRS), find_strengths(other, NO_PAIRS), strict=True):
         assert [values[10, 10] for values in found] == [values[10, 10] for values in again]
 
 
@@ -104,4 +114,4 @@ def test_a_tile_without_a_plane_is_unknown():
     relief[2] = np.nan
     sums = wave_sums(relief, held, variance)
     assert np.isnan(sums).all()
-    assert all(np.isnan(values).all() for each in find_strengths(sums[None]) for values in each)
+    assert all(np.isnan(values).all() for each in find_strengths(sums[None], NO_PAIRS[:1, :3]) for values in each)
