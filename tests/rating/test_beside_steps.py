@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bumpymap.rating import Calibration, rate_beside_steps
+from bumpymap.rating import THIN_COLUMNS, Calibration, rate_beside_steps
 
 PIXELS = 15
 SHIPPED = Calibration.shipped("warthog")
@@ -14,8 +14,9 @@ WORST = np.array([0.9], np.float32), np.array([1.0], np.float32)
 
 def rated(heights, line, noise=0.0):
     rng = np.random.default_rng(3)
-    thin = np.full((1, 20), np.nan, np.float32)
-    thin[0, [0, 10, 15]] = 225.0, 2.0 * noise**2 * 500, 500.0  # points, squares and number of pairs
+    thin = np.full((1, len(THIN_COLUMNS)), np.nan, np.float32)
+    own = {"points": 225.0, "squares": 2.0 * noise**2 * 500, "pairs": 500.0}
+    thin[0, [THIN_COLUMNS.index(name) for name in own]] = list(own.values())
     noisy = (heights + rng.normal(0, noise, heights.shape))[None].astype(np.float32)
     return rate_beside_steps(noisy, line[None], NOTHING, WORST, thin, SHIPPED)
 

@@ -22,9 +22,9 @@ _LONGEST, _SHORTEST = 4, 14
 """Half waves along a tile up to which waves are summed, one by one; and up to which the ground has power."""
 WAVE_SUMS = 34
 """Numbers that are left of the points of a tile: degrees of freedom, and a tridiagonal matrix of 17 rows."""
-_GROUND_M, _NOISE_M = np.exp(np.arange(-6.9, 0.5, 0.35)), np.exp(np.arange(-6.2, -2.6, 0.35))
-"""Standard deviations that are tried: of ground about its plane, 1 mm to 1.2 m; of noise, 2 mm to 0.07 m: no
-survey has more, and rubble of which each stone holds one point must not pass for noise."""
+_GROUND_M, _NOISE_M = np.exp(np.arange(-6.9, 0.5, 0.35)), np.exp(np.arange(-6.2, -2.9, 0.35))
+"""Standard deviations that are tried: of ground about its plane, 1 mm to 1.2 m; of noise, 2 mm to 0.05 m: few
+surveys have more, and rubble of which each stone holds one point must not pass for noise."""
 _USUAL = ((-3.0, 1.5), (-4.2, 1.0))
 """Mean and standard deviation of ln of both strengths [m] before any neighbour is known: counts as one neighbour."""
 _LEAST_SD = (0.3, 0.15)
