@@ -62,7 +62,7 @@ struct ClassField {
     std::uint8_t at(std::int32_t outwards, std::int32_t around) const {
         constexpr std::size_t columns = 4;  // three classes, and the points
         const std::int32_t from = std::max(outwards - bin_parts / 2, 0);
-        const std::int32_t turn = around + bin_columns * bin_parts - bin_parts / 2;
+        const auto turn = static_cast<std::int32_t>(around + bin_columns * bin_parts - bin_parts / 2);
         const Index ring = from / bin_parts, left = turn / bin_parts % bin_columns, right = (left + 1) % bin_columns;
         const float* near = &says(ring * bin_columns, 0);
         const float* far = &says(std::min((ring + 1) * bin_columns, says.shape[0] - bin_columns), 0);
