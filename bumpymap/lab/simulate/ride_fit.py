@@ -447,8 +447,8 @@ def strengths_of(columns: Floats, log_c_r: Floats) -> Strength:
     order = np.argsort(likeness, kind="stable")
     laid = np.full((side**2, columns.shape[1]), np.nan, np.float32)
     laid[place] = columns[order]
-    laid, found = laid.reshape(side, side, -1), np.empty((3, len(columns)))
-    around, _ = find_strengths(laid[..., first:], laid[..., 3:5])
+    square, found = laid.reshape(side, side, -1), np.empty((3, len(columns)))
+    around, _ = find_strengths(square[..., first:], square[..., 3:5])
     found[:, order] = [values.ravel()[place] for values in around]
     return Strength(*found)
 
