@@ -304,8 +304,9 @@ def _borders(
 def _first_integers(grid: Grid, scaling: Scaling, axis: int, tiles: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the lowest integer of each tile along an axis. Tiles may be narrower than a step between integers."""
     goal = tiles * grid.tile_size
-    about = (goal / scaling.units[axis] - scaling.offsets[axis]) / scaling.scales[axis]
-    low = np.floor(about).astype(np.int64) - 2
+    with np.errstate(over="ignore", invalid="ignore"):  # of scales that nobody would choose: the search below finds all
+        about = (goal / scaling.units[axis] - scaling.offsets[axis]) / scaling.scales[axis]
+        low = np.floor(about).astype(np.int64) - 2
     high = low + 5
 
     def reaches(integers: NDArray[np.int64]) -> NDArray[np.bool_]:
