@@ -1,6 +1,8 @@
 """``bumpymap map``: make roughness layers and a cost map from surveys; ``demo`` does so with an example."""
 
+import shlex
 import shutil
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
@@ -116,8 +118,17 @@ def demo_command(run: Run, out: Path) -> None:
         result = map_surveys(config, progress)
     look = [f"Open {config.out / MapFile.PROJECT} in QGIS, or the layers in any other GIS."]
     look += [f"Open {config.out / MapFile.REPORT} in a browser."]
-    look += ["Map a survey of yours: bumpymap map SURVEY.laz --out DIR"]
+    look += [f"Map a survey of yours: {_called()} map SURVEY.laz --out DIR"]
     run.show(_record(result, config), chain([f"Mapped {survey}"], _lines(result, config), look))
+
+
+def _called() -> str:
+    """Return how a shell in this folder calls this command."""
+    command = sys.argv[0]
+    if Path(command).stem == "__main__":
+        return f"{shlex.quote(sys.executable)} -m bumpymap"
+    on_path = shutil.which("bumpymap")
+    return "bumpymap" if on_path and Path(on_path).absolute() == Path(command).absolute() else shlex.quote(command)
 
 
 def _copy_sample(survey: Path) -> Path:

@@ -41,18 +41,16 @@ def main(path: Path) -> None:
             off[max(at, ~at)] = min(off[max(at, ~at)], SHARE * max(size, LEAST))
     lines = [shapely.LineString(arc).simplify(most) for arc, most in zip(arcs, off, strict=True)]
     arcs = [np.rint(shapely.get_coordinates(line) / STEP).astype(int) for line in lines]
-    kept = [
-        (number, corners)
+    rings = [
+        corners
         for (number, land), size in zip(lands, sizes, strict=True)
         if (size >= TINY or size == largest[number]) and len(corners := ring(arcs, land)) > 2
     ]
-    numbers, rings = zip(*kept, strict=True)
     np.savez_compressed(
         OUT,
         # one after the other, each as its steps from the one before: small numbers pack well
         steps=np.ascontiguousarray(np.diff(np.concatenate(rings), axis=0, prepend=0).T.astype("<i2")),
         starts=np.cumsum([0, *map(len, rings[:-1])]).astype("<i4"),
-        countries=np.array(numbers, "<i2"),
         step_deg=STEP,
         source=SOURCE,
     )

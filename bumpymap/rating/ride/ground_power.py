@@ -119,14 +119,9 @@ def find_strengths(sums: NDArray[np.float32], pairs: NDArray[np.float32]) -> tup
 def _posterior(likelihood: NDArray[np.float32], prior: Floats, *, is_last: bool = False) -> Floats:
     """Return mean and variance of ln of ground and noise, (4, n), under priors of the same form."""
     grids = np.log(_GROUND_M), np.log(_NOISE_M)
-    away = (grids[0] - prior[0][:, None]) ** 2 / prior[1][:, None]
-    of_ground = (1.0 + away / _FREEDOM) ** (-0.5 * (_FREEDOM + 1.0))
+    of_ground, of_noise = (_student(grid, *own) for grid, own in zip(grids, (prior[:2], prior[2:]), strict=True))
     if is_last:
         of_noise = np.maximum(1.0 - ((grids[1] - prior[2][:, None]) / _MOST_OWN) ** 2, 0.0) ** 2
-    else:
-        of_noise = (1.0 + (grids[1] - prior[2][:, None]) ** 2 / prior[3][:, None] / _FREEDOM) ** (
-            -0.5 * (_FREEDOM + 1.0)
-        )
     ground = of_ground * np.matmul(of_noise[:, None].astype(np.float32), likelihood)[:, 0]
     noise = of_noise * np.matmul(likelihood, of_ground[:, :, None].astype(np.float32))[..., 0]
     found = []
@@ -135,6 +130,12 @@ def _posterior(likelihood: NDArray[np.float32], prior: Floats, *, is_last: bool 
         mean = (share * grid).sum(axis=1) / total
         found += [mean, np.maximum((share * grid**2).sum(axis=1) / total - mean**2, 0.0)]
     return np.array(found)
+
+
+def _student(grid: Floats, mean: Floats, variance: Floats) -> Floats:
+    """Return Student's density, but for its scale, of ln of a strength around n tiles, (n, values of the grid)."""
+    away = (grid - mean[:, None]) ** 2 / variance[:, None]
+    return np.asarray((1.0 + away / _FREEDOM) ** (-0.5 * (_FREEDOM + 1.0)))
 
 
 def _around(found: Floats, known: NDArray[np.bool_], usual: Floats) -> Floats:
