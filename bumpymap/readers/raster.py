@@ -102,7 +102,8 @@ class RasterSurvey(SurveyReader):
                 "vehicle feels is finer. Export the model with pixels of 5 to 20 cm, or give the point cloud"
             )
         if pixel > _FINE_PIXEL_M:
-            notes += (f"its pixels are coarse ({pixel:g} m): at 0.5 m most passable tiles are lost, and C_r is half to twice that",)
+            why = "at 0.5 m most passable tiles are lost, and C_r is half to twice that"
+            notes += (f"its pixels are coarse ({pixel:g} m): {why}",)
         if kind.kind in "iu" and step >= _COARSE_HEIGHT_M:
             notes += (f"its heights lie on steps of {step:g} m: fine relief is lost",)
         self._kind = options.kinds[options.ground_classes[0] if options.dtm else _UNCLASSIFIED]
