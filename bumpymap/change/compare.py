@@ -32,7 +32,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtr
 
-from bumpymap.layers import NORMAL_80, SurveyPair
+from bumpymap.core import NORMAL_80
+from bumpymap.layers import SurveyPair
 from bumpytiles import TileWindow
 
 Floats = NDArray[np.float64]
@@ -456,7 +457,8 @@ def _differences(pair: SurveyPair, cell: int, registration: Registration) -> Ite
 
 _LEAST_OWN = 0.5
 """Least share of a spread that is the survey's own, chosen."""
-Bands = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
+RideSides = tuple[NDArray[np.float32], Floats]
+"""``c_r``, rad/m, and the standard deviations of ln c_r below and above it, of `interval_log_sd`."""
 
 
 def common_error(manifest: Mapping[str, Any]) -> tuple[float, float]:
@@ -471,27 +473,23 @@ def common_error(manifest: Mapping[str, Any]) -> tuple[float, float]:
     return first, second
 
 
-def ride_change(before: Bands, after: Bands, common: tuple[float, float] = (0.0, 0.0)) -> tuple[Floats, Floats]:
+def ride_change(before: RideSides, after: RideSides, common: tuple[float, float] = (0.0, 0.0)) -> tuple[Floats, Floats]:
     """Return the differences of ln c_r, after minus before, and their combined spread; NaN where one is not known.
 
-    ``before``, ``after``: ``c_r``, ``c_r_low`` and ``c_r_high`` [rad/m], of any shape, whose spreads are those of the
-    80 % intervals of ln c_r; ``common``: of `common_error`, taken off both spreads.
+    ``before``, ``after``: of arrays of any shape; ``common``: of `common_error`, taken off both spreads.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        (first, of_first), (second, of_second) = (_log_and_spread(bands, *common) for bands in (before, after))
+        (first, of_first), (second, of_second) = (_log_and_spread(*sides, *common) for sides in (before, after))
         ratio, sd = second - first, np.hypot(of_first, of_second)
         known = np.isfinite(ratio / sd)
     return np.where(known, ratio, np.nan), np.where(known, sd, np.nan)
 
 
-def _log_and_spread(bands: Bands, model_error: float, floor: float) -> tuple[Floats, Floats]:
+def _log_and_spread(c_r: NDArray[np.float32], sides: Floats, model_error: float, floor: float) -> tuple[Floats, Floats]:
     """Return ln c_r and the standard deviation of the survey's own error in it, the mean of both sides."""
-    c_r, low, high = (band.astype(np.float64) for band in bands)
-    middle = np.log(c_r)
-    shared = model_error * np.clip(1.0 - (floor / c_r) ** 2, 0.0, 1.0)
-    sides = ((middle - np.log(low)) / NORMAL_80, (np.log(high) - middle) / NORMAL_80)
-    below, above = (np.sqrt(np.maximum(side**2 - shared**2, (_LEAST_OWN * side) ** 2)) for side in sides)
-    return middle, 0.5 * (below + above)
+    middle = np.log(c_r.astype(np.float64))
+    shared = model_error * np.clip(1.0 - (floor / c_r.astype(np.float64)) ** 2, 0.0, 1.0)
+    return middle, np.sqrt(np.maximum(sides**2 - shared**2, (_LEAST_OWN * sides) ** 2)).mean(axis=0)
 
 
 LEAST_CELLS = 16

@@ -41,6 +41,7 @@ from bumpymap.core import (
     SilentProgress,
     brief_repr,
     count_text,
+    interval_log_sd,
     path_of_call,
     plain_json,
     settings_of_call,
@@ -270,7 +271,10 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     ground = ground_changes(pair, cell, 0.0 if np.isnan(taken) else taken, found)
     # Both have one calibration, or they could not be compared; one may say nothing of its error.
     first, second = (common_error(site.manifest) for site in (pair.before, pair.after))
-    before, after = ((side.c_r, side.c_r_low, side.c_r_high) for side in surveys)
+    before, after = (
+        (side.c_r, interval_log_sd(side.c_r, side.c_r_low, side.c_r_high, site.rule.drive_log_sd))
+        for side, site in zip(surveys, (pair.before, pair.after), strict=True)
+    )
     ride = ride_change(before, after, first if first == second else (0.0, 0.0))
     decision = decide(ground, ride, config.fdr)
     field, dropped = _field(pair, surveys, ground, decision, config.min_tiles)

@@ -17,8 +17,8 @@ from bumpymap.check.inertial import pieces
 from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure
 from bumpymap.check.places import window_around
 from bumpymap.check.settings import LEAST_WINDOW_M
-from bumpymap.core import NO_CLASS, NO_TILE, Barred, DrivenStretches, TileField
-from bumpymap.layers import NORMAL_80, MapReader
+from bumpymap.core import NO_CLASS, NO_TILE, NORMAL_80, Barred, DrivenStretches, TileField, interval_log_sd
+from bumpymap.layers import MapReader
 from bumpymap.rating import less_floor
 from bumpymap.route import LineRide, LineVehicle, points_along, ride_line
 
@@ -165,9 +165,7 @@ def read_along(drive: DriveMeasure, label: Integers, cut: DrivenStretches, field
     stretch, way, tile = _steps(drive, label, field, node)
     places = np.outer(weights, weights).ravel() / weights.sum() ** 2  # their probabilities
     c_r, low, high = (part.ravel().astype(np.float64) for part in (field.c_r, field.c_r_low, field.c_r_high))
-    with np.errstate(divide="ignore", invalid="ignore"):  # standard deviations of ln c_r, by the intervals
-        down, up = np.log(c_r / low) / NORMAL_80, np.log(high / c_r) / NORMAL_80
-    down, up = (np.where(np.isfinite(part), np.maximum(part, 0.0), 0.0) for part in (down, up))
+    down, up = np.nan_to_num(interval_log_sd(c_r, low, high, field.rule.drive_log_sd))
     known = (tile >= 0) & np.isfinite(c_r[tile])
     passable = known & (field.barred.ravel()[tile] == Barred.NO)
     # The vehicle drove here, so it was not on barred ground beside; where the map bars all, it is wrong about that.

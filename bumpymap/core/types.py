@@ -52,6 +52,9 @@ TEXTURES: tuple[Texture, ...] = ("flat", "low_noise", "noise_sin", "high_noise")
 CLASS_NAMES = ("smooth", "fair", "rough", "very rough")
 """Names of classes 0 to 3."""
 
+NORMAL_80 = 1.2815515655446004
+"""Half width of the 80 % interval of a normal variable, in standard deviations."""
+
 NO_CLASS = 255
 """Value of ``CostMap.class_id`` for unknown tiles."""
 NO_TILE = 255
@@ -274,6 +277,20 @@ FAIL_SHARE = 0.5
 """If at least this share of the simulated drives fails, the ground is not passable and gets the roughest class."""
 
 
+def interval_log_sd(
+    c_r: NDArray[np.floating], low: NDArray[np.floating], high: NDArray[np.floating], drive_log_sd: float = 0.0
+) -> NDArray[np.float64]:
+    """Return the standard deviations of ln C_r below and above it, (2, ...), by its 80 % interval (...), rad/m.
+
+    ``drive_log_sd``: of `CostRule`, is taken off: what remains is of the mean of many drives. NaN where one is unknown.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        low, middle, high = (np.log(np.asarray(values, np.float64)) for values in (low, c_r, high))
+        sides = np.stack((middle - low, high - middle)) / NORMAL_80
+        sides = np.where(np.isfinite(sides), sides, np.nan)
+    return np.asarray(np.sqrt(np.maximum(np.maximum(sides, 0.0) ** 2 - drive_log_sd**2, 0.0)))
+
+
 @dataclass(frozen=True, slots=True)
 class CostRule:
     """How ride cost and failure risk become a planner's cost: passable tiles, and the factor on distance.
@@ -293,6 +310,9 @@ class CostRule:
     speeds: tuple[tuple[float, float], ...] = ()
     """Speed made good: C_r of the map [rad/m], rising, and the highest speed [m/s] within the comfort limits there. The
     first is the top speed, and that of smoother ground too; none: not known."""
+    drive_log_sd: float = 0.0
+    """Standard deviation of ln C_r of one drive of ``drive_m`` about the mean of many, which the map's intervals hold.
+    0: they are of that mean, as those of ``rating="table"`` and of maps of earlier versions."""
 
     @property
     def top_mps(self) -> float:

@@ -72,7 +72,6 @@ from .manifest import (
     IRI_NOTE as IRI_NOTE,
     ISLAND_M2 as ISLAND_M2,
     MANIFEST_NAME as MANIFEST_NAME,
-    NORMAL_80 as NORMAL_80,
     PLACE_SHAPE as PLACE_SHAPE,
     MapSummary as MapSummary,
     ZoneCounts as ZoneCounts,

@@ -9,9 +9,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from bumpymap.core import CLASS_NAMES, NO_CLASS, CheckResult, DrivenStretches, plain_json
+from bumpymap.core import CLASS_NAMES, NO_CLASS, NORMAL_80, CheckResult, DrivenStretches, plain_json
 from bumpymap.layers.colours import OFF_KINDS
-from bumpymap.layers.manifest import NORMAL_80
 from bumpymap.layers.map_reader import MapReader
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.vector import GeoJsonCoordinates, feature, plain_numbers, write_features

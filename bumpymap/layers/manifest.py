@@ -52,8 +52,6 @@ _STEPS = {"c_r": 1 / 8192, "slope": 1 / 512}
 _SEEN_STEPS = dict(zip(SEEN_COLUMNS, (1 / 16, 1 / 2048, 1 / 2048), strict=True))
 """The same of what the survey would have shown, points/m2 and m: up to 4096 points/m2 and 32 m."""
 
-NORMAL_80 = 1.2815515655446004
-"""Half width of the 80 % interval of a normal variable, in standard deviations."""
 IRI_NOTE = "of a car at 80 km/h on both wheel paths; waves that photogrammetry adds count too"
 ISLAND_M2 = 500.0
 """Area under which a zone that is not the largest is an island, m2: chosen, 55 tiles of 3 m."""
@@ -306,6 +304,7 @@ _SHAPE: dict[str, Any] = PLACE_SHAPE | {
         "ride_weight_m_per_rad": _POSITIVE,
         "fail_weight_m": _POSITIVE,
         "drive_m": _POSITIVE,
+        "drive_log_sd?": Number(0, 9),
         "slope_limit_deg": Number(0, 90),
         "speeds_mps_at_c_r_radpm": [(Number(1e-9, 1e9),) * 2],
     },
@@ -370,6 +369,7 @@ def complete_manifest(manifest: Mapping[str, Any], table: CostTable, summary: Ma
                 "ride_weight_m_per_rad": table.rule.ride_weight,
                 "fail_weight_m": table.rule.fail_weight,
                 "drive_m": table.rule.drive_m,
+                "drive_log_sd": table.rule.drive_log_sd,
                 "slope_limit_deg": table.rule.slope_limit_deg,
                 "speeds_mps_at_c_r_radpm": [[speed, c_r] for c_r, speed in table.rule.speeds],
             },

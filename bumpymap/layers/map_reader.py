@@ -315,6 +315,7 @@ def open_map(folder: str | os.PathLike[str]) -> MapReader:
     georeference = Georeference(known, unit["horizontal"], unit["vertical"])
     weights = {"ride_weight": cost["ride_weight_m_per_rad"], "fail_weight": cost["fail_weight_m"]}
     limits = {"drive_m": cost["drive_m"], "slope_limit_deg": cost["slope_limit_deg"]}
+    limits["drive_log_sd"] = cost.get("drive_log_sd", 0.0)
     rule = CostRule(**weights, **limits, speeds=tuple((c_r, mps) for mps, c_r in cost["speeds_mps_at_c_r_radpm"]))
     vehicle = RouteVehicle(own["name"], own["width_m"], own["speed_mps"])
     windows = {name: _window_of(folder, name, grid, georeference, rasters) for name in _rasters(manifest)}

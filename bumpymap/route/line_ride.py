@@ -24,8 +24,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CANOPY, OBSTACLE, BadInputError, RoadFigures, UsageError, loops, parse_json, path_of_call
-from bumpymap.layers import NORMAL_80, MapReader, common_window, open_map
+from bumpymap.core import (
+    CANOPY,
+    NORMAL_80,
+    OBSTACLE,
+    BadInputError,
+    RoadFigures,
+    UsageError,
+    interval_log_sd,
+    loops,
+    parse_json,
+    path_of_call,
+)
+from bumpymap.layers import MapReader, common_window, open_map
 from bumpymap.rating import (
     Calibration,
     Correction,
@@ -178,6 +189,8 @@ class LineVehicle(NamedTuple):
     """How the chassis follows its rockers."""
     reach: int
     """Samples to either side that what is felt depends on."""
+    drive_log_sd: float
+    """Of the map's `CostRule`."""
 
     @classmethod
     def of(
@@ -204,7 +217,8 @@ class LineVehicle(NamedTuple):
         taps = chassis_response(calibration.vehicle, way)
         stretch = math.ceil(grid.tile_size / 2 / way)
         reach = len(taps) + max(stretch, len(heave_filter(wanted, way)[0]) // 2 if rating is not None else 0)
-        return cls(calibration, Correction.from_record(calibration.ride), operator, rating, wanted, way, taps, reach)
+        correction, drive_log_sd = Correction.from_record(calibration.ride), site.rule.drive_log_sd
+        return cls(calibration, correction, operator, rating, wanted, way, taps, reach, drive_log_sd)
 
 
 @lru_cache(maxsize=4)
@@ -503,9 +517,8 @@ def _match(
         felt = motion_felt(calibration, speeds, factors, bands[0]).astype(np.float64)
         ratio = less_floor(felt[:, -2], calibration.floor_at(vehicle.speed)) / np.maximum(own, _LEAST)
         a_w, heave = felt[:, -1], motions.heave[:, len(speeds) - 1]
-    known = (low > 0.0) & (high > 0.0)
-    log_sd = np.where(np.isfinite(c_r), np.log(np.where(known, high / np.where(known, low, 1.0), 1.0)), np.nan)
-    log_sd /= 2 * NORMAL_80
+    sides = np.nan_to_num(interval_log_sd(c_r, low, high, vehicle.drive_log_sd))
+    log_sd = np.where(np.isfinite(c_r), sides.mean(axis=0), np.nan)
     tiles = _Tiles(own, log_sd, ratio, slope, rides.belly_reach, left, a_w, heave)
     return (clean - relief).astype(np.float64), tiles
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bumpymap.core import CLASS_NAMES, SeenSizes, count_text, parse_json, share_text, shares_text
-from bumpymap.layers import ISLAND_M2, NORMAL_80
+from bumpymap.core import CLASS_NAMES, NORMAL_80, SeenSizes, count_text, parse_json, share_text, shares_text
+from bumpymap.layers import ISLAND_M2
 
 if TYPE_CHECKING:
     from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches, MapAgreement

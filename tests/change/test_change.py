@@ -1,6 +1,7 @@
 """Changes between two surveys: figures of a tile by hand, what counts as a change, and the files."""
 
 import json
+import math
 from dataclasses import fields, replace
 from functools import cache
 from itertools import pairwise
@@ -19,7 +20,7 @@ import bumpymap
 from bumpymap.change import DiffConfig, find_changes
 from bumpymap.change.compare import SURE, GroundChange, compare_heights, decide, hold_false_discoveries, ride_change
 from bumpymap.change.pipeline import CHANGE_FILES, connect
-from bumpymap.core import BadInputError, Georeference
+from bumpymap.core import BadInputError, Georeference, interval_log_sd
 from bumpytiles import Grid
 
 LAGS = [(0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0)]
@@ -71,13 +72,14 @@ def test_without_a_change_both_are_standard_normal_whatever_the_noise():
     assert found.z_height.mean() == pytest.approx(0.0, abs=0.06)
 
 
-@pytest.mark.parametrize(("shared", "floor"), [(0.0, 0.0), (0.1, 0.0), (0.1, 0.05)])
-def test_ride_costs_are_compared_by_their_logarithms_less_what_both_maps_share(shared, floor):
+@pytest.mark.parametrize(("shared", "drives", "floor"), [(0.0, 0.0, 0.0), (0.1, 0.2, 0.0), (0.1, 0.0, 0.05)])
+def test_ride_costs_are_compared_by_their_logarithms_less_what_both_maps_share(shared, drives, floor):
     own = 0.08
-    tail = 1.2815515655446004 * np.hypot(own, shared)
+    tail = 1.2815515655446004 * math.sqrt(own**2 + shared**2 + drives**2)
 
     def bands(ground):
-        return tuple(np.hypot(np.array(ground) * np.exp(by), floor) for by in (0.0, -tail, tail))
+        c_r, low, high = (np.hypot(np.array(ground) * np.exp(by), floor) for by in (0.0, -tail, tail))
+        return c_r, interval_log_sd(c_r, low, high, drives)
 
     common = (shared, floor)
     ratio, sd = ride_change(bands([0.1, 0.05, 0.102, np.nan]), bands([0.102, 0.051, 0.1, 0.1]), common)

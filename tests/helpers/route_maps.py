@@ -28,7 +28,9 @@ RUN = {
     "points": 1_000,
     "seconds": {},
 }
-RULE = CostRule(ride_weight=5.0, fail_weight=300.0, drive_m=10.0, slope_limit_deg=30.0, speeds=((0.3, 1.0),))
+RULE = CostRule(
+    ride_weight=5.0, fail_weight=300.0, drive_m=10.0, slope_limit_deg=30.0, speeds=((0.3, 1.0),), drive_log_sd=0.2
+)
 UTM = CRS.from_epsg(32614)
 
 

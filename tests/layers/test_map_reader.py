@@ -60,6 +60,7 @@ def test_every_tile_lies_where_it_was_measured(folder, made):
     for name in READ:
         assert np.array_equal(getattr(field, name)[row, col], columns[name], equal_nan=True), name
         assert np.isnan(getattr(field, name)[~held]).all()
+    assert found.rule == made.rule
 
 
 def test_a_window_is_a_piece_of_the_whole_also_beyond_the_map(folder):

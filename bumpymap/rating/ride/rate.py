@@ -11,6 +11,7 @@ one that stands far out of the noise keeps what is above it, so that a kerb or a
 What the points cannot tell: errors that neighbours share (photogrammetry, flight lines) look like ground, and stay.
 """
 
+from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
@@ -32,6 +33,9 @@ _SHARPENED = 1.2
 """Power of C_r along an axis over the mean. An axis takes samples of 22.5 degrees, and ground that is mirrored at the
 edges of the tile has its mirrored headings there: both even out what a line feels. From 1.15 to 1.3 the errors against
 drives and rides of lines are least, on made-up and on natural ground."""
+DRIVE_LOG_SD = 0.22
+"""Standard deviation of ln C_r of one calibration drive (10 s, at any place and heading) about the mean of many over
+the tile: the median over the terrains of the Warthog's calibration."""
 
 
 class Spectrum(NamedTuple):
@@ -142,14 +146,15 @@ class RideModel:
             p_fail=_where(known, found.p_fail),
             # Filled pixels are a guess; a tile full of them is believed less.
             confidence=_where(known, chance * np.sqrt(patches.coverage)),
-            rule=map_rule(calibration),
+            rule=replace(map_rule(calibration), drive_log_sd=DRIVE_LOG_SD),
             headings=None if by_axis is None else _where(known[:, None], by_axis),
         )
 
 
 def interval(found: Prediction, floor: float) -> tuple[Floats, Floats, Floats]:
-    """Return C_r and both ends of its 80 % interval of n predictions, rad/m, with the vehicle's floor."""
-    ends = (found.log_c_r, found.log_c_r - NORMAL_TAIL * found.below, found.log_c_r + NORMAL_TAIL * found.above)
+    """Return C_r and both ends of the interval in which 80 % of drives lie, of n predictions, rad/m, with the floor."""
+    below, above = (NORMAL_TAIL * np.hypot(side, DRIVE_LOG_SD) for side in (found.below, found.above))
+    ends = (found.log_c_r, found.log_c_r - below, found.log_c_r + above)
     c_r, low, high = (with_floor(np.exp(value), floor) for value in ends)
     return c_r, low, high
 

@@ -17,13 +17,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import DENSE_COVERAGE, NO_CLASS, SPANNED_POINTS, THIN_POINTS, THIN_SEEN, Reason
+from bumpymap.core import (
+    DENSE_COVERAGE,
+    NO_CLASS,
+    SPANNED_POINTS,
+    THIN_POINTS,
+    THIN_SEEN,
+    Reason,
+    interval_log_sd,
+)
 from bumpymap.rating.calibration import Calibration, remembered
-from bumpymap.rating.ride.correction import NORMAL_TAIL, Coefficients, Prediction
+from bumpymap.rating.ride.correction import Coefficients, Prediction
 from bumpymap.rating.ride.ground_power import POWER_RING, WAVE_SUMS, Strength, find_strengths, wave_sums
 from bumpymap.rating.ride.motion_operator import roll_over
 from bumpymap.rating.ride.operator import RideOperator
-from bumpymap.rating.ride.rate import interval, judge
+from bumpymap.rating.ride.rate import DRIVE_LOG_SD, interval, judge
 from bumpymap.rating.ride.speed import plain_speed_factor, speed_log_sd
 from bumpymap.rating.vehicle_body import less_floor
 
@@ -297,13 +305,9 @@ def is_rateable(columns: NDArray[np.float32], reason: NDArray[np.uint8]) -> NDAr
 def _mixed(thin: Prediction, first: BlockRating, weight: Floats, floor: float) -> Prediction:
     """Mix with the first pass less its floor, (rows, cols); the result is continuous in the coverage."""
     ends = (first.c_r, first.c_r_low, first.c_r_high)
-    log_c_r, low, high = (np.log(np.maximum(less_floor(values, floor), _LOST_SHARE * floor)) for values in ends)
-    ride: tuple[Floats, ...] = (
-        log_c_r,
-        (log_c_r - low) / NORMAL_TAIL,
-        (high - log_c_r) / NORMAL_TAIL,
-        first.p_fail.astype(np.float64),
-    )
+    c_r, low, high = (np.maximum(less_floor(values, floor), _LOST_SHARE * floor) for values in ends)
+    sides = interval_log_sd(c_r, low, high, DRIVE_LOG_SD)
+    ride: tuple[Floats, ...] = (np.log(c_r), *sides, first.p_fail.astype(np.float64))
     ours = (values.reshape(weight.shape) for values in (thin.log_c_r, thin.below, thin.above, thin.p_fail))
     mixed = (
         np.where(weight > 0, weight * theirs + (1.0 - weight) * own, own)

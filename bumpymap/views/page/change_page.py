@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from bumpymap.core import (
     CHANGE_KINDS,
     CLASS_NAMES,
+    NORMAL_80,
     BadInputError,
     Each,
     parse_json,
@@ -24,7 +25,6 @@ from bumpymap.core import (
 from bumpymap.layers import (
     CHANGE_COLOURS,
     DIFFERENCE_RAMP,
-    NORMAL_80,
     PLACE_SHAPE,
     MapFile,
     open_layer,

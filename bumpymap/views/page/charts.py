@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import count_text
+from bumpymap.core import NORMAL_80, count_text
 from bumpymap.layers import OFF_COLOURS, UNKNOWN_COLOUR, RideScale
 from bumpymap.views.page.tiles import C_R_EDGES, SLOPE_EDGES
 from bumpymap.views.pictures.drawing import ticks
@@ -184,7 +184,7 @@ _FACTOR = 1.5
 
 def drive_chart(result: "CheckResult") -> Chart | None:
     """Return measured over predicted C_r, one mark a stretch; None if nothing can be compared."""
-    from bumpymap.layers import NORMAL_80, MapOffset
+    from bumpymap.layers import MapOffset
 
     stretches, offset = result.stretches, MapOffset.of(result.stretches)
     shown = np.flatnonzero(np.isfinite(offset.ratio))
@@ -235,7 +235,7 @@ def drive_chart(result: "CheckResult") -> Chart | None:
 
 def along_chart(result: "CheckResult") -> Chart | None:
     """Return what was measured and what the map says, one stretch after another; None if nothing was measured."""
-    from bumpymap.layers import NORMAL_80, MapOffset
+    from bumpymap.layers import MapOffset
 
     stretches = result.stretches
     length = float(np.sum(stretches.way_m))

@@ -3,14 +3,17 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from bumpymap.core.config import FeatureSettings
-from bumpymap.core.types import NO_CLASS, Georeference
+from bumpymap.core.types import NO_CLASS, Georeference, interval_log_sd
 from bumpymap.lab.simulate.ride_fit import survey_terrains
 from bumpymap.lab.terrains import make_terrain
 from bumpymap.patches.features import measure
 from bumpymap.rating import RideModel
 from bumpymap.rating.calibration import Calibration
+from bumpymap.rating.ride.correction import Prediction
+from bumpymap.rating.ride.rate import DRIVE_LOG_SD, interval
 from bumpymap.rating.textures import TextureModel, classify
 
 CALIBRATION = Calibration.shipped("warthog")
@@ -35,6 +38,18 @@ def test_the_numbers_of_a_tile_agree_with_each_other():
     assert np.all((cost.confidence >= 0) & (cost.confidence <= 1))
     by_c_r = np.searchsorted(CALIBRATION.class_limits, cost.c_r, side="right")
     assert np.array_equal(cost.class_id, np.where(cost.p_fail >= 0.5, 3, by_c_r))
+
+
+def test_the_interval_holds_80_percent_of_single_drives_and_tells_how_far_off_their_mean_is():
+    rng = np.random.default_rng(4)
+    log_c_r, below, above = rng.uniform(-5, 0, 40_000), *rng.uniform(0.05, 0.4, (2, 40_000))
+    c_r, low, high = interval(Prediction(log_c_r, below, above, np.zeros(40_000)), 0.0)
+    error = rng.standard_normal(40_000)
+    mean = log_c_r + error * np.where(error < 0, below, above)
+    drive = np.exp(mean + DRIVE_LOG_SD * rng.standard_normal(40_000))
+    assert np.mean((low < drive) & (drive < high)) == pytest.approx(0.8, abs=0.01)
+    np.testing.assert_allclose(interval_log_sd(c_r, low, high, DRIVE_LOG_SD), [below, above], rtol=1e-6)
+    assert rated(patches_of("flat")).rule.drive_log_sd == DRIVE_LOG_SD
 
 
 def test_a_tile_steeper_than_the_vehicle_can_climb_is_class_3():
