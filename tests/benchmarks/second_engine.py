@@ -178,7 +178,7 @@ def report(given):
     mean = np.array([np.mean(own) if len(own) > 1 else np.nan for own in driven])
     bins = ((0, 0.05), (0.05, 0.3), (0.3, 0.7), (0.7, 1.01))
     rates = []
-    print("| points/m² | terrains | Spearman | median error | driven / predicted | drives in the interval, by third | all |")
+    print("| points/m² | terrains | Spearman | median error | driven / predicted | drives inside, by third | all |")
     print("|---|---|---|---|---|---|---|")
     for density in map(float, given.densities.split(",")):
         found = np.full((4, len(rows)), np.nan)
