@@ -150,7 +150,6 @@ from .processes import (
 )
 from .route_types import (
     Resolution as Resolution,
-    RoadFigures as RoadFigures,
     Route as Route,
     RouteFigures as RouteFigures,
     RouteProfile as RouteProfile,

@@ -69,7 +69,6 @@ from .lazy_raster import (
 )
 from .manifest import (
     COUNT as COUNT,
-    IRI_NOTE as IRI_NOTE,
     ISLAND_M2 as ISLAND_M2,
     MANIFEST_NAME as MANIFEST_NAME,
     NORMAL_80 as NORMAL_80,
@@ -130,14 +129,12 @@ from .route_files import (
     route_properties as route_properties,
     stop_names as stop_names,
     stop_roles as stop_roles,
-    stretch_rows as stretch_rows,
     window_around as window_around,
     write_gpx as write_gpx,
     write_isochrones as write_isochrones,
     write_profile as write_profile,
     write_reach as write_reach,
     write_route_geojson as write_route_geojson,
-    write_route_stretches as write_route_stretches,
 )
 from .route_inputs import (
     geojson_features as geojson_features,

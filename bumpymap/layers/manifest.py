@@ -54,7 +54,6 @@ _SEEN_STEPS = dict(zip(SEEN_COLUMNS, (1 / 16, 1 / 2048, 1 / 2048), strict=True))
 
 NORMAL_80 = 1.2815515655446004
 """Half width of the 80 % interval of a normal variable, in standard deviations."""
-IRI_NOTE = "of a car at 80 km/h on both wheel paths; waves that photogrammetry adds count too"
 ISLAND_M2 = 500.0
 """Area under which a zone that is not the largest is an island, m2: chosen, 55 tiles of 3 m."""
 

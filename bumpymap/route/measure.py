@@ -16,7 +16,6 @@ from bumpymap.core import (
     NO_TILE,
     SEEN_COLUMNS,
     Barred,
-    RoadFigures,
     RouteFigures,
     RouteProfile,
     SeenSizes,
@@ -52,8 +51,6 @@ class MeasuredWay:
     """(m, 2) easting and northing of its corners, m."""
     figures: RouteFigures
     profile: RouteProfile
-    road: tuple[RoadFigures, ...] = ()
-    """As in `Route`."""
 
 
 _Pieces: TypeAlias = dict[str, NDArray[Any]]

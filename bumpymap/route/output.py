@@ -27,14 +27,12 @@ from bumpymap.layers import (
     route_properties,
     software_versions,
     stop_names,
-    stretch_rows,
     window_around,
     write_gpx,
     write_isochrones,
     write_profile,
     write_reach,
     write_route_geojson,
-    write_route_stretches,
 )
 from bumpymap.views import reach_layers, route_layers, view_writers, write_reach_picture, write_route_picture
 
@@ -46,7 +44,7 @@ REACH_KINDS = {".tif": "reach.tif", ".geojson": "isochrones.geojson", ".png": "r
 """Name of the file that is written alone, by its suffix."""
 _VIEWS = ("route.qml", "reach.qml", "isochrones.qml", MapFile.PROJECT)
 ROUTE_FILES = OutputFolder(
-    (*ROUTE_KINDS.values(), "stretches.csv", *REACH_KINDS.values(), *_VIEWS, ROUTE_MANIFEST_NAME),
+    (*ROUTE_KINDS.values(), *REACH_KINDS.values(), *_VIEWS, ROUTE_MANIFEST_NAME),
     ROUTE_MANIFEST_NAME,
     views=_VIEWS,
 )
@@ -88,9 +86,8 @@ def write_route(
     ``out`` may be a file instead, for one of the first four.
 
     All files appear or none; links are replaced, never followed. Files of an earlier run that this one does not write
-    are removed. Without longitude and latitude route.gpx is left out, and route.json says so. A way whose stretches
-    have figures has stretches.csv too. Except for route.json no file depends on the time, and none but it and map.qgs
-    on folder names.
+    are removed. Without longitude and latitude route.gpx is left out, and route.json says so. Except for route.json no
+    file depends on the time, and none but it and map.qgs on folder names.
 
     ``source``: the map that it was planned on; ``manifest``: the run's own entries for route.json, such as settings.
     Returns what was written, the manifest last. Raises UsageError, OutputError: see `check_out`; or a file cannot be
@@ -105,8 +102,6 @@ def write_route(
         "profile.csv": partial(write_profile, route),
         "route.png": partial(write_route_picture, route, source),
     }
-    if route.road:
-        writers["stretches.csv"] = partial(write_route_stretches, route)
     if not place.has_degrees and one_file is None:
         del writers["route.gpx"]
         notes = ["route.gpx was not written: the layers have no CRS, so longitude and latitude are unknown"]
@@ -181,7 +176,6 @@ def _describe(route: Route, place: GeoJsonCoordinates) -> dict[str, Any]:
         **route_properties(route),
         "stops": [{"name": name, **spot} for name, spot in zip(names, _spots(route.stops, place), strict=True)],
         "corners": len(route.line),
-        "stretches": stretch_rows(route),
         "straight": None if route.straight is None else _describe_straight(route.straight, place),
     }
 

@@ -321,7 +321,6 @@ def _route(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[Plann
         vehicle=site.vehicle,
         risk_m=ground.risk_m,
         straight=measure_straight_line(ground, points, way.figures),
-        road=way.road,
     )
     return route, remarks
 

@@ -31,7 +31,6 @@ from bumpymap.layers import (
     BARRED_COLOURS,
     CLASS_COLOURS,
     CLOSED_COLOUR,
-    IRI_NOTE,
     ISLAND_SHARE,
     MANIFEST_NAME,
     OBJECT_COLOURS,
@@ -381,7 +380,7 @@ def _way_rows(ways: Sequence[DrawnWay]) -> list[Row]:
             shown, name = [number(value, decimals) for value in values], field_names("route.geojson")[key]
             if key == "p_arrives":
                 shown = [chance_text(value, 0, PERCENT) if isinstance(value, int | float) else DASH for value in values]
-            rows.append(({"text": name, "meaning": IRI_NOTE} if key == "iri" else name, *shown))
+            rows.append((name, *shown))
             if key == "p_arrives":
                 rows.append(("the chance holds", *(SeenSizes.of(way.figures).condition for way in ways)))
     return rows

@@ -268,7 +268,7 @@ class DrawnWay:
 
 WAY_FIGURES = (
     *(("length_m", 0), ("cost_m", 0), ("detour", 2), ("seconds", 0), ("c_r_mean", 3), ("c_r_line", 3)),
-    *(("c_r_max", 3), ("iri", 1), ("p_arrives", 2), ("unknown_m", 0), ("obstacle_m", 1), ("tight_turns_deg", 0)),
+    *(("c_r_max", 3), ("p_arrives", 2), ("unknown_m", 0), ("obstacle_m", 1), ("tight_turns_deg", 0)),
     *(("climb_m", 1), ("descent_m", 1)),
 )
 """Figures of a way on a page, properties of its line, with their decimals."""
