@@ -149,7 +149,6 @@ from .processes import (
     trim_shared as trim_shared,
 )
 from .route_types import (
-    Resolution as Resolution,
     Route as Route,
     RouteFigures as RouteFigures,
     RouteProfile as RouteProfile,

@@ -34,13 +34,13 @@ from bumpymap.layers import (
     write_reach,
     write_route_geojson,
 )
-from bumpymap.views import reach_layers, route_layers, view_writers, write_reach_picture, write_route_picture
+from bumpymap.views import reach_layers, route_layers, view_writers
 
 _log = logging.getLogger(__name__)
 
 ROUTE_MANIFEST_NAME = "route.json"
-ROUTE_KINDS = {".geojson": "route.geojson", ".gpx": "route.gpx", ".csv": "profile.csv", ".png": "route.png"}
-REACH_KINDS = {".tif": "reach.tif", ".geojson": "isochrones.geojson", ".png": "reach.png"}
+ROUTE_KINDS = {".geojson": "route.geojson", ".gpx": "route.gpx", ".csv": "profile.csv"}
+REACH_KINDS = {".tif": "reach.tif", ".geojson": "isochrones.geojson"}
 """Name of the file that is written alone, by its suffix."""
 _VIEWS = ("route.qml", "reach.qml", "isochrones.qml", MapFile.PROJECT)
 ROUTE_FILES = OutputFolder(
@@ -81,9 +81,9 @@ def check_out(out: Path, kinds: Mapping[str, str], *, overwrite: bool) -> str | 
 def write_route(
     route: Route, source: MapReader, out: Path, *, manifest: Mapping[str, Any], overwrite: bool = False
 ) -> list[Path]:
-    """Write route.geojson, route.gpx, profile.csv, route.png, route.json and a project of QGIS to a folder.
+    """Write route.geojson, route.gpx, profile.csv, route.json and a project of QGIS to a folder.
 
-    ``out`` may be a file instead, for one of the first four.
+    ``out`` may be a file instead, for one of the first three.
 
     All files appear or none; links are replaced, never followed. Files of an earlier run that this one does not write
     are removed. Without longitude and latitude route.gpx is left out, and route.json says so. Except for route.json no
@@ -100,7 +100,6 @@ def write_route(
         "route.geojson": partial(write_route_geojson, route),
         "route.gpx": partial(write_gpx, route),
         "profile.csv": partial(write_profile, route),
-        "route.png": partial(write_route_picture, route, source),
     }
     if not place.has_degrees and one_file is None:
         del writers["route.gpx"]
@@ -116,25 +115,20 @@ def write_route(
 def write_reach_files(
     reach: ReachField,
     source: MapReader,
-    start: NDArray[np.float64],
     out: Path,
     *,
     levels: Sequence[float] = (),
     manifest: Mapping[str, Any],
     overwrite: bool = False,
 ) -> list[Path]:
-    """Write reach.tif, reach.png, isochrones.geojson (with levels), route.json and a project of QGIS to a folder.
+    """Write reach.tif, isochrones.geojson (with levels), route.json and a project of QGIS to a folder.
 
-    ``start`` (2,): easting and northing, m. ``out`` may be one file instead, .tif for the raster, .png for the picture
-    or .geojson for the isochrones; ``levels`` of these: minutes. For the other parameters, the result and errors see
-    `write_route`.
+    ``out`` may be one file instead, .tif for the raster or .geojson for the isochrones; ``levels`` of these: minutes.
+    For the other parameters, the result and errors see `write_route`.
     """
     one_file = check_out(out, REACH_KINDS, overwrite=overwrite)
     about = {"vehicle": source.vehicle.name}
-    writers: dict[str, Callable[[Path], None]] = {
-        "reach.tif": partial(write_reach, reach, about=about),
-        "reach.png": partial(write_reach_picture, reach, source, start, levels=levels),
-    }
+    writers: dict[str, Callable[[Path], None]] = {"reach.tif": partial(write_reach, reach, about=about)}
     if levels:
         writers["isochrones.geojson"] = partial(write_isochrones, reach, levels, about=about)
     if one_file is None:

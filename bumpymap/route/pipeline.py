@@ -133,7 +133,7 @@ def find_routes(
     via : points, optional
         Points to pass on the way.
     out : path, optional
-        Folder, or file that ends in .geojson, .gpx, .csv or .png.
+        Folder, or file that ends in .geojson, .gpx or .csv.
     **settings
         Those of ``bumpymap route``, with underscores: ``by`` (``cost`` or ``time``), ``risk`` [m],
         ``robust``, ``direction``, ``climb``, ``descent``, ``side_slope`` [m], ``side_limit`` [deg], ``unknown`` [cost
@@ -365,7 +365,6 @@ def _write_reach(ground: CostGround, stops: Stops, config: RouteConfig, out: Pat
     files = write_reach_files(
         found,
         ground.site,
-        stops.points[0],
         out,
         levels=config.isochrones,
         manifest={"settings": asdict(config), "start": stops.points[0], "remarks": notes},

@@ -66,9 +66,7 @@ class RouteConfig:
             "Outlines of what is reached within these minutes", "LIST", 0.0, unit="minutes", exclusive=True, group="Way"
         ),
     ] = ()
-    out: Annotated[Path | None, Setting("Folder, or a .geojson, .gpx, .csv or .png file", "PATH", group="Output")] = (
-        None
-    )
+    out: Annotated[Path | None, Setting("Folder, or a .geojson, .gpx or .csv file", "PATH", group="Output")] = None
     """Folder, or file of a format that its suffix names; None: only the summary."""
     overwrite: Annotated[bool, Setting("Replace the files of an earlier run", group="Output")] = False
     memory: Annotated[str, Setting("Memory of the search", "SIZE", default="a quarter of what is free", rare=True)] = (

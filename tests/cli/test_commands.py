@@ -214,7 +214,7 @@ def test_the_way_goes_through_the_gap_and_all_files_are_there(tmp_path):
     assert result.exit_code == 0, result.output
     files = {path.name: path.read_bytes() for path in (tmp_path / "way").iterdir()}
     views = {"map.qgs", "route.qml"}
-    assert set(files) == {"route.geojson", "route.gpx", "profile.csv", "route.png", "route.json", *views}
+    assert set(files) == {"route.geojson", "route.gpx", "profile.csv", "route.json", *views}
     assert "arrives" in result.stdout
     lines = pyogrio.read_dataframe(tmp_path / "way" / "route.geojson").to_crs("EPSG:32614")
     (line,) = lines.geometry[lines.geom_type == "LineString"]

@@ -1,21 +1,18 @@
-"""Pictures of routes and scans: what is where, in which colour."""
+"""Pictures of ground and scans: what is where, in which colour."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
 import rasterio
-from PIL import Image
-from route_records import CORNERS, MadeUpMap, make_route
+from route_records import CORNERS, MadeUpMap
 
 from bumpymap.core import NO_TILE, Barred, PolarSettings, Scan, sector_bounds
-from bumpymap.layers.colours import CLASS_COLOURS, CLOSED_COLOUR, UNKNOWN_COLOUR
+from bumpymap.layers.colours import CLOSED_COLOUR, UNKNOWN_COLOUR
 from bumpymap.layers.scan_folder import SCAN_COLOURS, SECTOR_STATES, point_styles, sector_states
 from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.views.pictures import drawing
 from bumpymap.views.pictures.drawing import MapView, hard_light, levelled, paint_ground
-from bumpymap.views.pictures.route_picture import write_route_picture
 from bumpymap.views.pictures.scan_picture import SIDE, paint as paint_image, write_picture
 from bumpytiles import Grid
 
@@ -99,54 +96,6 @@ def test_reading_strip_by_strip_paints_the_same(view, ground, monkeypatch):
     pieces, _ = paint_ground(ground, view)
     assert len(ground.windows) > 6
     np.testing.assert_array_equal(whole, pieces)
-
-
-def painted(route, ground, folder):
-    write_route_picture(route, ground, folder / "way.png")
-    return np.asarray(Image.open(folder / "way.png"))
-
-
-def test_the_way_and_its_ends_stand_where_they_are(ground, tmp_path):
-    picture = painted(make_route(stops=CORNERS), ground, tmp_path).astype(int)
-    assert picture.shape[1] == 1600
-    view = MapView.around(Grid(), CORNERS, 1200, (520, 900))
-    along = np.linspace(0.0, 1.0, 200)[:, None]
-    for first, last in pairwise(CORNERS):
-        pixels = view.pixels(first + along * (last - first)) + np.array([24, 56])
-        length = np.hypot(*(pixels[-1] - pixels[0]))
-        free = (along[:, 0] * length > 20) & ((1 - along[:, 0]) * length > 20)  # clear of the discs
-        col, row = np.floor(pixels[free]).astype(int).T
-        assert (picture[row, col].max(axis=1) < 60).mean() > 0.98
-    for stop, colour in zip(CORNERS, ([255, 255, 255], [255, 236, 170], [0, 0, 0]), strict=True):
-        col, row = np.floor(view.pixels(stop[None])[0] + np.array([24, 56 - 9])).astype(int)  # above the letter
-        assert picture[row, col].tolist() == colour
-
-
-def test_the_profile_is_filled_with_the_colours_of_the_ride_cost(ground, tmp_path):
-    ground.barred[:] = NO_TILE  # the map itself has no colour
-    base = make_route()
-    length = len(base.profile.distance)
-    rough = np.where(np.arange(length) < length // 2, 0.0, 5.0)
-    profile = replace(base.profile, z=np.full(length, 7.0), c_r=rough, c_r_low=rough, c_r_high=rough)
-    picture = painted(replace(base, profile=profile), ground, tmp_path).astype(float)
-    below = picture[-70 - 200 : -70 - 130]  # the lower part of the chart of heights
-    left, right = below[:, 200:600].reshape(-1, 3), below[:, 800:1180].reshape(-1, 3)
-    for part, colour in ((left, CLASS_COLOURS[0]), (right, CLASS_COLOURS[3])):
-        middle = np.median(part, axis=0)
-        assert np.argsort(middle).tolist() == np.argsort(colour[:3]).tolist()
-        assert np.ptp(middle) > 40
-
-
-@pytest.mark.parametrize("names", [["z"], ["c_r", "c_r_low", "c_r_high"], ["z", "c_r", "c_r_low", "c_r_high"]])
-def test_what_is_unknown_is_drawn_without_complaint(ground, names, recwarn, tmp_path):
-    base = make_route()
-    nothing = np.full(len(base.profile.distance), np.nan)
-    route = replace(base, profile=replace(base.profile, **dict.fromkeys(names, nothing)))
-    ground.height[:] = np.nan
-    ground.barred[:] = NO_TILE
-    ground.c_r[:] = np.nan
-    assert painted(route, ground, tmp_path).shape[1] == 1600
-    assert not [str(warning.message) for warning in recwarn if "numpy" in str(warning.filename)]
 
 
 def paint(scan, classed, range_m=40.0):

@@ -1,17 +1,11 @@
-"""Drawing of pictures of routes: smooth lines, shaded ground under them, the profile, scale and north arrow.
-
-Edges are smooth because everything is drawn at twice its size and averaged at the end.
-"""
+"""The ground as pictures and pages show it: ride cost in the light of relief or photo; round numbers of scales."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
 
 from bumpymap.core import CROSSING_UNKNOWN, NO_TILE, OBSTACLE, OPEN_THROUGH
 from bumpymap.layers import (
@@ -28,83 +22,7 @@ from bumpymap.layers import (
 from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:
-    from bumpymap.core import RouteProfile
     from bumpymap.layers import MapReader
-
-Colour = tuple[int, int, int]
-_TWICE = 2
-"""Pixels that are drawn along each pixel of the finished picture."""
-
-
-@lru_cache(maxsize=16)
-def font(size: int) -> ImageFont.FreeTypeFont:
-    """Return Pillow's own font with Pillow's own layout engine, so that pixels are the same on every machine."""
-    found = ImageFont.load_default(size)
-    if not isinstance(found, ImageFont.FreeTypeFont):
-        raise TypeError("this Pillow was built without FreeType")
-    return found.font_variant(layout_engine=ImageFont.Layout.BASIC)
-
-
-class Pen:
-    """Draws on a white sheet. Coordinates are pixels of the finished picture, to the right and down."""
-
-    def __init__(self, width: int, height: int) -> None:
-        self._sheet = Image.new("RGB", (width * _TWICE, height * _TWICE), "white")
-        self._draw = ImageDraw.Draw(self._sheet)
-
-    def finished(self) -> Image.Image:
-        """Return the picture."""
-        return self._sheet.reduce(_TWICE)
-
-    def paste(self, left: int, top: int, pixels: NDArray[np.uint8]) -> None:
-        """Paint an array (rows, columns, 3) with its top left corner at a point."""
-        size = (pixels.shape[1] * _TWICE, pixels.shape[0] * _TWICE)
-        whole = Image.fromarray(pixels).resize(size, Image.Resampling.NEAREST)
-        self._sheet.paste(whole, (left * _TWICE, top * _TWICE))
-
-    def line(self, points: NDArray[np.float64], colour: Colour, width: float = 1.0) -> None:
-        """Draw a line through points, (n, 2)."""
-        xy = [tuple(point) for point in (points * _TWICE).tolist()]
-        thick = max(1, round(width * _TWICE))
-        self._draw.line(xy, colour, thick, joint="curve")
-        if thick > 3:  # round ends
-            for x, y in (xy[0], xy[-1]):
-                self._draw.ellipse((x - thick / 2, y - thick / 2, x + thick / 2, y + thick / 2), colour)
-
-    def polygon(self, points: Sequence[tuple[float, float]], fill: Colour, outline: Colour | None = None) -> None:
-        """Fill a polygon."""
-        self._draw.polygon([(x * _TWICE, y * _TWICE) for x, y in points], fill, outline, width=_TWICE)
-
-    def rectangle(self, box: tuple[float, float, float, float], fill: Colour | None, outline: Colour | None) -> None:
-        """Draw a rectangle: left, top, right, bottom."""
-        left, top, right, bottom = (round(side * _TWICE) for side in box)
-        self._draw.rectangle((left, top, right - 1, bottom - 1), fill, outline, width=_TWICE)
-
-    def disc(self, centre: tuple[float, float], radius: float, fill: Colour, outline: Colour) -> None:
-        """Draw a disc with an outline of 2 pixels."""
-        x, y = centre[0] * _TWICE, centre[1] * _TWICE
-        r = radius * _TWICE
-        self._draw.ellipse((x - r, y - r, x + r, y + r), fill, outline, width=2 * _TWICE)
-
-    def text(
-        self, place: tuple[float, float], text: str, colour: Colour, *, size: int = 16, anchor: str = "lm"
-    ) -> None:
-        """Write one line; ``anchor`` as Pillow names it."""
-        self._draw.text((place[0] * _TWICE, place[1] * _TWICE), text, colour, font(size * _TWICE), anchor)
-
-    def upright_text(self, place: tuple[float, float], text: str, colour: Colour, size: int) -> None:
-        """Write one line from bottom to top, its middle at a point."""
-        left, top, right, bottom = font(size * _TWICE).getbbox(text)
-        lying = Image.new("L", (math.ceil(right - left) + 4, math.ceil(bottom - top) + 4))
-        ImageDraw.Draw(lying).text((2 - left, 2 - top), text, 255, font(size * _TWICE))
-        upright = lying.transpose(Image.Transpose.ROTATE_90)
-        corner = (round(place[0] * _TWICE - upright.width / 2), round(place[1] * _TWICE - upright.height / 2))
-        self._sheet.paste(colour, corner, upright)
-
-
-def shortened(name: str, most: int) -> str:
-    """Return a name, cut to at most ``most`` characters."""
-    return name if len(name) <= most else f"{name[: most - 3]}..."
 
 
 def bar_length(most: float) -> float:
@@ -125,7 +43,6 @@ def ticks(low: float, high: float, most: int) -> tuple[list[float], int]:
     return [number * step for number in range(first, last + 1)], max(0, -math.floor(math.log10(step) + 1e-9))
 
 
-Pixels = NDArray[np.uint8]
 NO_DATA = (255, 255, 255)
 """Colour of ground without points."""
 _STRIP_TILES = 4_000_000
@@ -230,7 +147,7 @@ def hard_light(colours: NDArray[np.floating], light: NDArray[np.floating]) -> ND
     return np.asarray(255.0 * (below + DETAIL * (mixed - below)))
 
 
-def paint_ground(source: "MapReader", view: MapView) -> tuple[Pixels, RideScale]:
+def paint_ground(source: "MapReader", view: MapView) -> tuple[NDArray[np.uint8], RideScale]:
     """Paint the ground: what can be driven in the colours of the ride cost, the rest muted.
 
     Returns uint8 (height, width, 3); the scale of the colours.
@@ -333,167 +250,3 @@ def fill_gaps(heights: NDArray[np.float64]) -> NDArray[np.float64]:
         heights = heights.copy()
         heights[near] = total[near] / count[near] + base
     return heights
-
-
-INK, FAINT, GRID, INTERVAL = (28, 30, 34), (92, 96, 104), (226, 228, 232), (196, 200, 208)
-"""Colours of texts, of quieter ones and frames, of the lines of a chart, and of an interval."""
-_LEAST_RELIEF_M = 2.0
-"""Least span of the height axis, m: a level way must not look like mountains."""
-_LEAST_LENGTH_M = 1.0
-"""Least length of the axis of distance, m: a way of length 0 has none."""
-_FILL = 0.75
-"""Opacity of the colours under the profile: chosen."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Axes:
-    """A rectangle of the picture, pixels, and the values at its sides."""
-
-    left: int
-    top: int
-    width: int
-    height: int
-    far: float
-    """Distance at the right side, m."""
-    low: float
-    """Value at the lower side."""
-    high: float
-    """Value at the upper side."""
-
-    def points(self, distance: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where points of a curve lie, (n, 2) pixels right and down."""
-        return np.column_stack([self.left + distance / self.far * self.width, self.rows(values)])
-
-    @property
-    def distances(self) -> NDArray[np.float64]:
-        """(width,) distance in the middle of each column of pixels, m."""
-        return (np.arange(self.width) + 0.5) / self.width * self.far
-
-    def rows(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return pixels down the picture of values."""
-        share = np.clip((values - self.low) / (self.high - self.low), 0.0, 1.0)
-        return np.asarray(self.top + (1.0 - share) * self.height, dtype=np.float64)
-
-
-def draw_profile(pen: Pen, profile: "RouteProfile", box: tuple[int, int, int, int], scale: RideScale) -> None:
-    """Draw height over distance, filled with the colours of the ride cost, and the ride cost with its interval.
-
-    ``box``: left, top, width and height of the drawing without its labels, pixels; they need 80 to the left, 50 below;
-    ``scale``: the colours of the ride cost.
-    """
-    left, top, width, height = box
-    split = round(height * 0.6)
-    far = max(float(profile.distance[-1]), _LEAST_LENGTH_M)
-    known = profile.z[np.isfinite(profile.z)]
-    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, _LEAST_RELIEF_M)
-    room = max(high - low, _LEAST_RELIEF_M) * 0.12
-    middle, half = (low + high) / 2, max(high - low, _LEAST_RELIEF_M) / 2
-    ground = _Axes(left, top, width, split, far, middle - half - room, middle + half + room)
-    ends = profile.c_r_high[np.isfinite(profile.c_r_high)]
-    most = max(scale.end, float(np.quantile(ends, 0.98))) if len(ends) else scale.end
-    ride = _Axes(left, top + split + 14, width, height - split - 14, far, 0.0, most * 1.05)
-    _fill_ground(pen, ground, profile, scale)
-    _frame(pen, ground, "height [m]", 4)
-    _curve(pen, ground, profile.distance, profile.z)
-    nearest = _nearest(profile, ride)
-    upper, lower = (ride.rows(side[nearest]) - ride.top for side in (profile.c_r_high, profile.c_r_low))
-    line = np.arange(ride.height)[:, None] + 0.5
-    canvas: Pixels = np.full((ride.height, ride.width, 3), 255, np.uint8)
-    canvas[(line >= upper[None, :]) & (line <= lower[None, :])] = INTERVAL
-    pen.paste(ride.left, ride.top, canvas)
-    _frame(pen, ride, "ride cost [rad/m]", 3)
-    _curve(pen, ride, ride.distances, profile.c_r[nearest])
-    _distances(pen, ride)
-    if not len(known):
-        pen.text((left + width / 2, top + split / 2), "heights along the way are not known", FAINT, anchor="mm")
-
-
-def _frame(pen: Pen, axes: _Axes, label: str, most: int) -> None:
-    right, bottom = axes.left + axes.width, axes.top + axes.height
-    values, decimals = ticks(axes.low, axes.high, most)
-    for value, row in zip(values, axes.rows(np.array(values)).tolist(), strict=True):
-        pen.line(np.array([[axes.left, row], [right, row]]), GRID)
-        pen.text((axes.left - 8, row), f"{value:,.{decimals}f}", FAINT, size=14, anchor="rm")
-    pen.rectangle((axes.left, axes.top, right, bottom), None, FAINT)
-    pen.upright_text((axes.left - 68, axes.top + axes.height / 2), label, INK, 15)
-
-
-def _distances(pen: Pen, axes: _Axes) -> None:
-    bottom = axes.top + axes.height
-    unit, name = (1000.0, "km") if axes.far >= 5000.0 else (1.0, "m")
-    values, decimals = ticks(0.0, axes.far / unit, 10)
-    for value in values:
-        place = axes.left + value * unit / axes.far * axes.width
-        pen.line(np.array([[place, bottom], [place, bottom + 6]]), FAINT)
-        pen.text((place, bottom + 17), f"{value:,.{decimals}f}", FAINT, size=14, anchor="mm")
-    pen.text((axes.left + axes.width / 2, bottom + 40), f"distance along the way [{name}]", INK, size=15, anchor="mm")
-
-
-def _fill_ground(pen: Pen, axes: _Axes, profile: "RouteProfile", scale: RideScale) -> None:
-    """Fill the ground under the curve of the heights, each column in the colour of its ride cost."""
-    # NaN on either side makes what lies between unknown too
-    row = axes.rows(np.interp(axes.distances, profile.distance, profile.z)) - axes.top
-    c_r = profile.c_r[_nearest(profile, axes)]
-    colour = scale.colours(c_r)
-    colour[np.isnan(c_r)] = UNKNOWN_COLOUR[:3]
-    colour = 255.0 + _FILL * (colour - 255.0)
-    canvas: Pixels = np.full((axes.height, axes.width, 3), 255, np.uint8)
-    under = np.arange(axes.height)[:, None] + 0.5 >= row[None, :]  # False where the height is unknown
-    canvas[under] = np.broadcast_to(colour.astype(np.uint8), canvas.shape)[under]
-    pen.paste(axes.left, axes.top, canvas)
-
-
-def _curve(pen: Pen, axes: _Axes, distance: NDArray[np.float64], values: NDArray[np.float64]) -> None:
-    """Draw a curve, with gaps where values are NaN."""
-    known = np.flatnonzero(np.isfinite(values))
-    for run in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
-        if len(run) > 1:
-            pen.line(axes.points(distance[run], values[run]), INK, 1.5)
-
-
-def _nearest(profile: "RouteProfile", axes: _Axes) -> NDArray[np.int64]:
-    """Return the point of a profile that is nearest to each column of pixels; points are evenly apart."""
-    number = np.arange(len(profile.distance))
-    return np.rint(np.interp(axes.distances, profile.distance, number)).astype(np.int64)
-
-
-WHITE = (255, 255, 255)
-"""Red, green and blue."""
-
-
-def draw_swatch(pen: Pen, left: int, row: int, colour: Colour | Pixels) -> None:
-    """Draw the colour of an entry of a legend, 40 x 24 pixels, with its frame."""
-    pen.paste(left, row, np.broadcast_to(np.array(colour, np.uint8), (24, 40, 3)).copy())
-    pen.rectangle((left, row, left + 40, row + 24), None, FAINT)
-
-
-def draw_closed(pen: Pen, left: int, row: int) -> int:
-    """Draw what a legend says about ground that ways do not use; return the row, pixels, below it."""
-    swatches = (
-        (CLOSED_COLOUR[:3], "cannot be crossed, or no room"),
-        (OBJECT_COLOURS[OBSTACLE][:3], "obstacle"),
-        (UNKNOWN_COLOUR[:3], "not known"),
-        (NO_DATA, "no points"),
-    )
-    for colour, text in swatches:
-        draw_swatch(pen, left, row, colour)
-        pen.text((left + 54, row + 12), text, INK, size=16)
-        row += 34
-    return row
-
-
-def draw_frame(pen: Pen, view: MapView, left: float, top: float) -> None:
-    """Draw what a panel with a map has: scale bar, a fifth of it at most; an arrow to the north, which is up; frame."""
-    metres = bar_length(view.width * view.metres / 5)
-    length, start, bottom = metres / view.metres, left + 20.0, top + view.height - 22.0
-    pen.rectangle((start - 10, bottom - 34, start + length + 10, bottom + 12), WHITE, FAINT)
-    for part, fill in ((0, INK), (1, WHITE)):
-        side = start + part * length / 2
-        pen.rectangle((side, bottom - 6, side + length / 2, bottom + 2), fill, INK)
-    text = f"{metres:g} m" if metres < 1000 else f"{metres / 1000:g} km"
-    pen.text((start + length / 2, bottom - 20), text, INK, size=16, anchor="mm")
-    x, y = left + view.width - 36, top + 44
-    pen.disc((x, y), 27, WHITE, FAINT)
-    pen.polygon([(x, y - 22), (x + 9, y + 6), (x, y), (x - 9, y + 6)], INK)
-    pen.text((x, y + 15), "N", INK, size=15, anchor="mm")
-    pen.rectangle((left, top, left + view.width, top + view.height), None, FAINT)
