@@ -1,4 +1,4 @@
-"""Draw index_page.png, the page of a batch, and report_page.png and route_quarry.png, the sample without and with a way.
+"""Draw index_page.png, of a batch, and report_page.png and route_quarry.png, of the sample without and with a way.
 
 .venv/bin/python docs/pictures/pages.py docs/pages/img
 
