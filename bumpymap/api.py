@@ -30,9 +30,7 @@ from bumpymap.layers import (
     MapFile,
     import_notebook,
     open_layer,
-    read_features,
     read_manifest,
-    require_format,
     require_tiles,
     require_written,
 )
@@ -159,22 +157,8 @@ class Layers:
             One row for each tile with points; the geometry is the square of the tile, in the survey's CRS.
         """
         with self._file(MapFile.TILES) as path:
-            require_format(path)
             require_tiles(path, self.manifest["counts"]["tiles"])
             return import_notebook("geopandas").read_parquet(path)
-
-    def regions(self) -> "geopandas.GeoDataFrame":
-        """Read cost.fgb.
-
-        Returns
-        -------
-        geopandas.GeoDataFrame
-            One row for each region, a group of adjacent tiles of one class; the geometry is its outline, in the
-            survey's CRS.
-        """
-        with self._file(MapFile.REGIONS_IN_CRS) as path:
-            (crs, geometry, columns), geopandas = read_features(path), import_notebook("geopandas")
-            return geopandas.GeoDataFrame(columns, geometry=geopandas.GeoSeries.from_wkb(geometry), crs=crs)
 
     def route(self, start: "Point", goal: "Point", **settings: Any) -> "PlannedRoute":
         """Find the cheapest way over these layers; see `bumpymap.find_routes` for parameters and errors.

@@ -100,7 +100,6 @@ from .files import (
     writing_to as writing_to,
 )
 from .gdal import (
-    CLOSED_GDAL as CLOSED_GDAL,
     block_bytes as block_bytes,
     closed_gdal as closed_gdal,
     gdal_text as gdal_text,

@@ -87,8 +87,6 @@ from .map_files import (
     open_layer as open_layer,
     read_averaged as read_averaged,
     read_colours as read_colours,
-    read_features as read_features,
-    require_format as require_format,
     require_written as require_written,
 )
 from .map_reader import (
