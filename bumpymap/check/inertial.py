@@ -21,10 +21,7 @@ from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
 from bumpymap.check.places import MetrePlaces, in_order, smooth_velocity
-from bumpymap.core import BadInputError, ImuTrack
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from bumpymap.core import BadInputError, Floats, ImuTrack, Mask
 
 _GAP_SAMPLES, _GAP_S = 5.0, 0.1
 """A longer pause, in sampling intervals and in seconds, is a gap (chosen)."""

@@ -25,9 +25,7 @@ from bumpymap.check.inertial import (
 )
 from bumpymap.check.places import MetrePlaces, SlopeAt, near_place, smooth_velocity
 from bumpymap.check.track import DrivenTrack, TrackStart, fit_track
-from bumpymap.core import BadInputError, DriveLog, WheelTrack
-
-Floats = NDArray[np.float64]
+from bumpymap.core import BadInputError, DriveLog, Floats, Mask, WheelTrack
 
 COUNTS = 0
 """Value of ``DriveMeasure.reason`` for samples that count."""
@@ -77,8 +75,6 @@ class DriveMeasure:
         """The floor, 0 where it is not known, rad/s."""
         return 0.0 if np.isnan(self.floor_radps) else self.floor_radps
 
-
-Mask = NDArray[np.bool_]
 
 _WINDOW_S = 1.0
 """Time over which the shaking of a vehicle is measured, s (chosen)."""

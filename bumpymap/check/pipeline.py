@@ -27,6 +27,7 @@ from bumpymap.core import (
     CheckResult,
     DriveLog,
     DrivenStretches,
+    Floats,
     MapAgreement,
     Progress,
     SilentProgress,
@@ -57,8 +58,6 @@ from bumpymap.rating import map_calibration
 from bumpymap.readers import close_log_reader, drive_files, read_drive
 from bumpymap.route import LineVehicle
 from bumpymap.views import check_layers, view_writers, write_check_page
-
-Floats = NDArray[np.float64]
 
 _LEAST_STRETCHES = 5
 """Fewest stretches of a rank correlation (chosen)."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core.config import DirectionSettings
 from bumpymap.core.seen_sizes import SeenSizes
-from bumpymap.core.types import CostRule, Georeference, obstacle_reach
+from bumpymap.core.types import CostRule, Floats, Georeference, obstacle_reach
 from bumpytiles import Grid, TileWindow
 
 
@@ -61,9 +61,6 @@ class TileField:
     rule: CostRule
     """How ride and risk become cost."""
     vehicle: RouteVehicle
-
-
-Floats = NDArray[np.float64]
 
 
 def slope_cost(

@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, DriveLog, ImuTrack, PlaceKind, PlaceTrack, UsageError, WheelTrack
+from bumpymap.core import BadInputError, DriveLog, Floats, ImuTrack, PlaceKind, PlaceTrack, UsageError, WheelTrack
 
 RATES = ("rate_x", "rate_y", "rate_z")
 ACCELERATIONS = ("acc_x", "acc_y", "acc_z")
@@ -166,7 +166,6 @@ def _named(text: str, names: Sequence[str]) -> str | None:
     return same[0] if len(same) == 1 else None
 
 
-Floats = NDArray[np.float64]
 Track = TypeVar("Track", "Signal", PlaceTrack, WheelTrack)
 
 

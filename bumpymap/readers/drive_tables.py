@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError
+from bumpymap.core import BadInputError, Floats
 from bumpymap.readers.drive_signals import (
     DIMENSIONS,
     EASTING_NORTHING,
@@ -19,7 +19,6 @@ from bumpymap.readers.drive_signals import (
     SIDES,
     UNITS,
     DriveColumn,
-    Floats,
     Samples,
     chosen_columns,
     named_columns,

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CANOPY, OBSTACLE, BadInputError, UsageError, loops, parse_json, path_of_call
+from bumpymap.core import CANOPY, OBSTACLE, BadInputError, Floats, UsageError, loops, parse_json, path_of_call
 from bumpymap.layers import NORMAL_80, MapReader, common_window, open_map
 from bumpymap.rating import (
     Calibration,
@@ -49,8 +49,6 @@ from bumpymap.rating import (
 from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.measure import MeasuredWay
 from bumpymap.route.places import in_window
-
-Floats = NDArray[np.float64]
 
 _SIGMA_M = 0.3
 """Standard deviation of where a vehicle is across its line by default, m (chosen)."""

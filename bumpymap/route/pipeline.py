@@ -227,8 +227,6 @@ def _text(name: str, point: Point) -> str:
 
 _log = logging.getLogger(__name__)
 
-Floats = NDArray[np.float64]
-
 
 @dataclass(frozen=True, slots=True)
 class RouteResult:

@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from bumpymap.core import OBSTACLE, UsageError, atomic, install_command
+from bumpymap.core import OBSTACLE, Floats, UsageError, atomic, install_command
 from bumpymap.layers import OBJECT_COLOURS, ROUTE_COLOUR, MapReader, open_map
 from bumpymap.views.page.site import read_ways
 from bumpymap.views.pictures.drawing import MapView, fill_gaps, paint_ground
 
-Floats = NDArray[np.float64]
 Numbers = NDArray[np.floating[Any]]
 
 _MOST_SIDE = 900

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import correlate
 from torch import nn
 
-from bumpymap.core import TEXTURES
+from bumpymap.core import TEXTURES, Floats
 from bumpymap.lab.label_sets import Accuracy, accuracy_of
 from bumpymap.lab.settings import NetworkSettings, TrainSettings
 from bumpymap.lab.terrains import make_short_waves, make_textures
@@ -37,9 +37,6 @@ from bumpymap.lab.train.model_files import (
     write_model,
 )
 from bumpymap.rating import FEATURE_VERSION, MEASURES, measures_of, normalise, remove_plane
-
-_Floats = NDArray[np.float64]
-
 
 FORM_RELIEF = {"flat": (0.0, 0.3), "low_noise": (0.1, 1.5), "noise_sin": (0.3, 3.0), "high_noise": (0.6, math.inf)}
 """Least and greatest true relief of each form in a tile, m, which decide the label. Below 0.1 m even the roughest form
@@ -74,7 +71,7 @@ class SurveyEffects:
     """Share of the patches of which the noise is not known."""
 
 
-def labels_of(shape: NDArray[np.int64], relief: _Floats) -> NDArray[np.int64]:
+def labels_of(shape: NDArray[np.int64], relief: Floats) -> NDArray[np.int64]:
     """Return the label of ground of a ``shape`` and true ``relief`` [m], (n,): the shape if it is so low or high.
 
     Elsewhere it is the nearest form whose `FORM_RELIEF` holds the relief.
@@ -95,7 +92,7 @@ def surveyed(
     of, count, pixels = of or SurveyEffects(), len(patches), patches.shape[-1]
     grid, one = np.arange(pixels), (count, 1, 1)
 
-    def spread(low: float, high: float) -> _Floats:
+    def spread(low: float, high: float) -> Floats:
         return np.exp(rng.uniform(math.log(low), math.log(high), one))
 
     def some(share: float) -> NDArray[np.bool_]:
@@ -130,7 +127,7 @@ def surveyed(
     return normalise(seen), measures, labels_of(shape, relief[:, 0, 0])
 
 
-def rotate(patches: _Floats, angle: _Floats) -> _Floats:
+def rotate(patches: Floats, angle: Floats) -> Floats:
     """Rotate each patch about its centre by ``angle`` (n,) rad: bilinear, half-sample mirroring beyond the border."""
     count, pixels, _ = patches.shape
     axis = np.arange(pixels) - (pixels - 1) / 2
@@ -142,32 +139,32 @@ def rotate(patches: _Floats, angle: _Floats) -> _Floats:
     which = np.arange(count)[:, None, None]
     upper = patches[which, r, c] * (1 - right) + patches[which, r, c + 1] * right
     lower = patches[which, r + 1, c] * (1 - right) + patches[which, r + 1, c + 1] * right
-    turned: _Floats = upper * (1 - down) + lower * down
+    turned: Floats = upper * (1 - down) + lower * down
     return turned
 
 
-def _mirror(position: _Floats, pixels: int) -> _Floats:
+def _mirror(position: Floats, pixels: int) -> Floats:
     """Mirror positions [px] into 0 .. pixels - 1 at the outer edges of the first and the last pixel."""
     folded = np.mod(position + 0.5, 2 * pixels)
     return np.clip(np.minimum(folded, 2 * pixels - folded) - 0.5, 0, pixels - 1)
 
 
-def blur(patches: _Floats, sigma: _Floats) -> _Floats:
+def blur(patches: Floats, sigma: Floats) -> Floats:
     """Blur each patch by its own Gaussian of ``sigma`` (n,) px; the weights are renormalised at the border."""
     axis = np.arange(patches.shape[-1])
     distance = axis[None, :] - axis[:, None]
     kernel = np.exp(-0.5 * (distance / np.maximum(sigma, 1e-3)[:, None, None]) ** 2)
     kernel /= kernel.sum(axis=2, keepdims=True)
-    blurred: _Floats = kernel @ patches @ kernel.transpose(0, 2, 1)
+    blurred: Floats = kernel @ patches @ kernel.transpose(0, 2, 1)
     return blurred
 
 
-def fill_holes(patches: _Floats) -> _Floats:
+def fill_holes(patches: Floats) -> Floats:
     """Fill NaN with the mean of the known pixels among 8 neighbours, ring by ring, as for patches of a survey.
 
     A patch must contain at least one known pixel.
     """
-    filled: _Floats = patches.copy()
+    filled: Floats = patches.copy()
     for _ in range(patches.shape[-1]):
         empty = np.isnan(filled)
         if not empty.any():
