@@ -14,7 +14,6 @@ from pyproj.exceptions import ProjError
 
 from bumpymap.core import CLASS_NAMES, shares_text, stated_crs
 from bumpymap.layers import CLASS_COLOURS, UNKNOWN_COLOUR, MapFile, SurveyRow, SurveyStatus
-from bumpymap.views.page.charts import land_path
 from bumpymap.views.page.page import render_page
 from bumpymap.views.page.site import UNREADABLE, jpeg, open_picture
 from bumpymap.views.pictures.drawing import bar_length, ticks
@@ -60,7 +59,6 @@ def _places(rows: Sequence[SurveyRow]) -> dict[str, Any] | None:
         "bounds": bounds,
         "width": _WIDTH,
         "height": _HEIGHT,
-        "land": land_path(bounds, sizes),
         "meridians": [((lon - west) * sizes[0], _degrees(lon, "EW", meridians[1])) for lon in meridians[0]],
         "parallels": [((north - lat) * sizes[1], _degrees(lat, "NS", parallels[1])) for lat in parallels[0]],
         "bar": bar_m * scale,

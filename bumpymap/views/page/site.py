@@ -52,7 +52,7 @@ from bumpymap.layers import (
     read_averaged,
     read_colours,
 )
-from bumpymap.views.page.charts import Chart, c_r_chart, profile_places, slope_chart
+from bumpymap.views.page.charts import profile_places
 from bumpymap.views.page.tiles import (
     EVEN,
     HEADING_STEP,
@@ -524,11 +524,6 @@ class Site:
         overlays += [("objects", "Obstacles", True)] if self.objects_known else []
         overlays += [("ways", "Way", True)] if self.ways else []
         return [*overlays, ("stretches", "Real drives", True)] if self.stretches else overlays
-
-    def charts(self) -> tuple[Chart, Chart]:
-        """Return the histograms of the ride cost and of the slope."""
-        ride = c_r_chart(self.tiles.c_r_bins, class_limits(self.record))
-        return ride, slope_chart(self.tiles.slope_bins, self.record["cost"]["slope_limit_deg"])
 
     def map_record(self) -> dict[str, Any]:
         """Return what the script of the page needs, as plain JSON."""
