@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     import geopandas
     import xarray
 
-    from bumpymap.layers import PlannedRoute
+    from bumpymap.core import Route
     from bumpymap.views import Export
 
     Point = str | tuple[float, float]
@@ -160,13 +160,13 @@ class Layers:
             require_tiles(path, self.manifest["counts"]["tiles"])
             return import_notebook("geopandas").read_parquet(path)
 
-    def route(self, start: "Point", goal: "Point", **settings: Any) -> "PlannedRoute":
+    def route(self, start: "Point", goal: "Point", **settings: Any) -> "Route":
         """Find the cheapest way over these layers; see `bumpymap.find_routes` for parameters and errors.
 
         Returns
         -------
-        PlannedRoute
-            With ``line`` [m], ``figures``, ``profile``, ``to_geodataframe()`` and ``plot()``.
+        Route
+            With ``line`` [m], ``figures`` and ``profile``.
         """
         from bumpymap.route import find_routes
 

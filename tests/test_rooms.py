@@ -23,7 +23,7 @@ ROOMS = {
     "layers": (
         {"core"},
         {
-            *("geopandas", "laspy", "lazrs", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"),
+            *("laspy", "lazrs", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"),
             *("skimage", "xarray"),
         },
     ),
@@ -34,7 +34,7 @@ ROOMS = {
         {"numpy", "pyproj", "scipy", "skimage", "small_gicp"},
     ),
     "route": ({"core", "rating", "layers", "views"}, {"numpy", "scipy", "skimage", "xarray"}),
-    "change": ({"core", "layers", "views"}, {"geopandas", "numpy", "scipy"}),
+    "change": ({"core", "layers", "views"}, {"numpy", "scipy"}),
     "check": ({"core", "rating", "readers", "layers", "route", "views"}, {"numpy", "pyproj", "scipy"}),
     "lab": (
         {"core", "readers", "patches", "rating", "scan"},

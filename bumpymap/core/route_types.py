@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core.config import DirectionSettings
-from bumpymap.core.seen_sizes import SeenSizes
+from bumpymap.core.seen_sizes import SeenSizes, chance_text
 from bumpymap.core.types import CostRule, Floats, Georeference, obstacle_reach
 from bumpytiles import Grid, TileWindow
 
@@ -266,3 +266,10 @@ class Route:
     """Weight of the hazard that it was planned with, m."""
     straight: StraightLine | None = None
     """The line between its stops; None if it was not looked at."""
+
+    def __repr__(self) -> str:
+        found = self.figures
+        return (
+            f"<Route {self.name} for {self.vehicle.name}: {found.length_m:,.1f} m, cost {found.cost_m:,.1f} m, "
+            f"c_r {found.c_r_mean:.3f} rad/m, arrives {chance_text(found.p_arrives)} {found.seen.condition}>"
+        )

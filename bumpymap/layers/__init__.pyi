@@ -19,7 +19,6 @@ from .change import (
     ChangeField as ChangeField,
     SurveyPair as SurveyPair,
     SurveyTiles as SurveyTiles,
-    change_regions as change_regions,
     open_pair as open_pair,
     write_change_raster as write_change_raster,
     write_change_regions as write_change_regions,
@@ -120,7 +119,6 @@ from .regions import (
     label as label,
 )
 from .route_files import (
-    PlannedRoute as PlannedRoute,
     ReachField as ReachField,
     reach_dataset as reach_dataset,
     route_coordinates as route_coordinates,

@@ -27,7 +27,6 @@ from bumpymap.layers.vector import DEGREE_DECIMALS, GeoJsonCoordinates, feature,
 from bumpytiles import TileWindow
 
 if TYPE_CHECKING:
-    import geopandas
     import xarray
 
 P_ARRIVES_NOTE = "errors of neighbouring tiles go together: an estimate"
@@ -231,48 +230,6 @@ def write_profile(route: Route, path: Path) -> None:
         for values, decimals in zip(columns, _PROFILE.values(), strict=True)
     ]
     write_csv(path, PROFILE_COLUMNS, zip([route.name] * len(profile.distance), *texts, strict=True))
-
-
-class PlannedRoute(Route):
-    """A way over a map, with its figures and profile."""
-
-    __slots__ = ()
-
-    def to_geodataframe(self) -> "geopandas.GeoDataFrame":
-        """Return one row: the way as a line in the survey's CRS, and its figures as columns.
-
-        Raises
-        ------
-        UsageError
-            The extra ``notebook`` is not installed.
-        """
-        line = shapely.LineString(self.line / self.georeference.metres_per_unit)
-        crs = self.georeference.crs
-        flat = None if crs is None else crs.to_2d()
-        return import_notebook("geopandas").GeoDataFrame([route_properties(self)], geometry=[line], crs=flat)
-
-    def plot(self, ax: Any = None, **style: Any) -> Any:
-        """Draw the way with matplotlib, in coordinates of the survey's CRS.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Where to draw it, such as over ``layers.dataset().c_r.plot()``.
-        **style
-            Of `geopandas.GeoDataFrame.plot`: ``color``, ``linewidth``, ...
-
-        Returns
-        -------
-        matplotlib Axes
-        """
-        return self.to_geodataframe().plot(ax=ax, **style)
-
-    def __repr__(self) -> str:
-        found = self.figures
-        return (
-            f"<Route {self.name} for {self.vehicle.name}: {found.length_m:,.1f} m, cost {found.cost_m:,.1f} m, "
-            f"c_r {found.c_r_mean:.3f} rad/m, arrives {chance_text(found.p_arrives)} {found.seen.condition}>"
-        )
 
 
 @dataclass(frozen=True, slots=True)

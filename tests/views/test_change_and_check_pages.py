@@ -87,7 +87,6 @@ def test_values_of_the_page_are_those_of_the_raster_within_its_rounding(comparis
 
 def test_nothing_found_and_nothing_compared_are_not_the_same(may, tmp_path, read_page):
     same = bumpymap.diff_surveys(may, may, tmp_path / "same")
-    assert same.regions()["kind"].tolist() == []
     assert "No change was found on the 1.08 ha that were compared" in read_page(same.folder / "report.html").text
     folder = shutil.copytree(same.folder, tmp_path / "none")
     record = json.loads((folder / "change.json").read_text())

@@ -54,8 +54,6 @@ from bumpymap.layers import (
 )
 from bumpymap.views.page.charts import profile_places
 from bumpymap.views.page.tiles import (
-    EVEN,
-    HEADING_STEP,
     NO_POINTS,
     STEPS,
     UNKNOWN_FROM,
@@ -63,7 +61,6 @@ from bumpymap.views.page.tiles import (
     PageTiles,
     Spot,
     block_means,
-    heading_codes,
     map_metres,
     packed,
 )
@@ -378,8 +375,6 @@ class Site:
     """The colours of the points, a data URI; None if they have none."""
     still: str
     """The ride cost in the light of the photo or the relief, a data URI: for readers and printers without scripts."""
-    headings: str | None
-    """Packed `heading_codes`; None where there are none, a pixel is more than one tile, or they are too many."""
     degrees: list[list[float]] | None
     """Longitude and latitude of the corners of the map: north-west, north-east, south-west, south-east.
 
@@ -434,7 +429,7 @@ class Site:
         photo = read_photo(colours, spot) if colours.is_file() else None
         picture = None if photo is None else jpeg(photo, PHOTO_BUDGET)
         side = _SIDE
-        wait(MapFile.OBSTACLE, MapFile.HEADINGS)
+        wait(MapFile.OBSTACLE)
         while True:
             objects = object_grid(folder, tiles, side)
             text = packed(objects)
@@ -442,12 +437,8 @@ class Site:
                 break
             side //= 2
         still = _still(tiles, RideScale.of(record), light if photo is None else photo)
-        codes = heading_codes(folder, tiles.c_r) if spot.step == 1 else None
-        headings = None if codes is None else packed(codes)
-        if headings and taken + len(text) + len(relief) + len(headings) > _BUDGET:
-            headings = None
         degrees = None if record["crs"] is None else _corners(record["crs"]["wkt"], spot)
-        shown = (tiles, grids, objects, text, relief, picture, still, headings, degrees)
+        shown = (tiles, grids, objects, text, relief, picture, still, degrees)
         return cls(str(record["survey"]["name"]), record, summary, *shown, ways, stretches)
 
     @property
@@ -536,7 +527,6 @@ class Site:
             "grids": [grid.record() for grid in self.grids],
             "ramps": self.ramps,
             "objects": {"rows": self.objects.shape[0], "cols": self.objects.shape[1], "codes": self.packed_objects},
-            "headings": self.headings and {"step": HEADING_STEP, "even": EVEN, "codes": self.headings},
             "relief": self.relief,
             "photo": self.photo,
             "stretches": list(self.stretches),

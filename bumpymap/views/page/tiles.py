@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 
 from bumpymap.core import (
-    AXES_DEG,
     CLASS_NAMES,
     FREE,
     NO_CLASS,
@@ -24,7 +23,7 @@ from bumpymap.core import (
     Reason,
     stated_crs,
 )
-from bumpymap.layers import UNKNOWN_OBJECT, MapFile, first_island, open_layer, read_tiles
+from bumpymap.layers import UNKNOWN_OBJECT, MapFile, first_island, read_tiles
 
 NOT_KNOWN = 255
 """Byte where a value is not known."""
@@ -107,28 +106,6 @@ class ByteGrid:
 def packed(codes: NDArray[np.uint8]) -> str:
     """Return bytes compressed (zlib) in base 64."""
     return base64.b64encode(zlib.compress(np.ascontiguousarray(codes).tobytes(), 6)).decode()
-
-
-HEADING_STEP, EVEN = 0.05, 127
-"""Step of the bytes of headings, and the byte of a heading that is as rough as the tile."""
-
-
-def heading_codes(folder: Path, c_r: NDArray[np.float32]) -> NDArray[np.uint8] | None:
-    """Read C_r along each of ``AXES_DEG`` over that of the tile, (8, rows, cols), in steps of its logarithm.
-
-    ``c_r`` (rows, cols): rad/m, NaN where unknown. ``NOT_KNOWN`` where one of both is; None: the map has no headings.
-    """
-    if not (folder / MapFile.HEADINGS).is_file():
-        return None
-    codes = np.full((len(AXES_DEG), *c_r.shape), NOT_KNOWN, np.uint8)
-    with open_layer(folder / MapFile.HEADINGS) as file:
-        for band, out in enumerate(codes, 1):
-            found = file.read(band)
-            known = (found > 0.0) & (c_r > 0.0)
-            steps = np.rint(np.log(found[known] / c_r[known]) / HEADING_STEP)
-            out[known] = np.clip(steps + EVEN, 0, NOT_KNOWN - 1).astype(np.uint8)
-    codes[:, (codes == NOT_KNOWN).any(axis=0)] = NOT_KNOWN
-    return codes
 
 
 UNKNOWN_FROM = 16
