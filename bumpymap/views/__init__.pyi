@@ -33,7 +33,7 @@ from .page.map_page import (
 from .page.site import (
     page_header as page_header,
 )
-from .pictures.scan_picture import (
+from .scan_picture import (
     write_picture as write_picture,
 )
 from .space import (

@@ -23,9 +23,9 @@ from bumpymap.check.pipeline import write_check
 from bumpymap.core import CHANGE_KINDS, CLASS_NAMES, BadInputError, Georeference, UsageError
 from bumpymap.layers.check_files import MapOffset
 from bumpymap.views import check_headline, write_report
+from bumpymap.views.light import levelled
 from bumpymap.views.page import change_page
 from bumpymap.views.page.change_page import NOT_COMPARED
-from bumpymap.views.pictures.drawing import levelled
 
 
 def band(folder, name):

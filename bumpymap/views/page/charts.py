@@ -3,6 +3,7 @@
 They hold numbers and words that stand here, nothing that a file or a user wrote: templates do not escape them.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 
 from bumpymap.core import count_text
 from bumpymap.layers import OFF_COLOURS, UNKNOWN_COLOUR, RideScale
-from bumpymap.views.pictures.drawing import ticks
 
 if TYPE_CHECKING:
     from bumpymap.core import CheckResult
@@ -96,6 +96,18 @@ class Chart:
             "".format(at, up, (5.5 if off else 4) * size, *OFF_COLOURS[kind][:3], 2 if off else 1)
             for at, up, kind, off in marks
         ]
+
+
+def ticks(low: float, high: float, most: int) -> tuple[list[float], int]:
+    """Return round numbers from low to high (low < high), and the decimals that tell them apart.
+
+    They are multiples of 1, 2 or 5 times a power of ten, with at most ``most`` steps.
+    """
+    least = (high - low) / most
+    power = 10.0 ** math.floor(math.log10(least))
+    step = next(step for step in (power, 2 * power, 5 * power, 10 * power) if step >= least * (1 - 1e-9))
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [number * step for number in range(first, last + 1)], max(0, -math.floor(math.log10(step) + 1e-9))
 
 
 _SIDES = (64, 12, 12, 48)

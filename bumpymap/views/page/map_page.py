@@ -46,11 +46,11 @@ from bumpymap.layers import (
     require_written,
 )
 from bumpymap.views.fields import field_names
+from bumpymap.views.light import DETAIL
 from bumpymap.views.page.charts import along_chart, drive_chart, profile_chart
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import RAMP, WAY_FIGURES, DrawnWay, Site, page_header, read_ways
 from bumpymap.views.page.tiles import UNKNOWN_FROM
-from bumpymap.views.pictures.drawing import DETAIL
 from bumpymap.views.words import (
     DASH,
     PERCENT,

@@ -52,6 +52,7 @@ from bumpymap.layers import (
     read_averaged,
     read_colours,
 )
+from bumpymap.views.light import LEVEL, grey_of, hard_light, levelled, light_of
 from bumpymap.views.page.charts import profile_places
 from bumpymap.views.page.tiles import (
     NO_POINTS,
@@ -64,7 +65,6 @@ from bumpymap.views.page.tiles import (
     map_metres,
     packed,
 )
-from bumpymap.views.pictures.drawing import LEVEL, grey_of, hard_light, levelled, light_of
 
 _STRIP_PIXELS = 16_000_000
 """Most pixels of obstacle.tif to read at a time."""
