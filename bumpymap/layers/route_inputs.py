@@ -279,7 +279,7 @@ def read_areas(
         what = "is not a file of polygons that can be read" if path.is_file() else "is missing"
         raise BadInputError(
             f"{path} {what}. Give polygons as {' or '.join(_GEOJSON)}; QGIS saves a layer so, or "
-            "`ogr2ogr -t_srs EPSG:4326 OUT.geojson FILE`"
+            "ogr2ogr -t_srs EPSG:4326 OUT.geojson FILE"
         )
     geometry, _, crs = read_vectors(path)
     kinds = shapely.get_type_id(geometry)

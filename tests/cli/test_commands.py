@@ -303,7 +303,7 @@ def test_one_scan(tmp_path):
     assert f"sectors: {free:,} free" in result.stdout
     assert f"{table['class'].count(None):,} not ground" in result.stdout
     assert f"Output in {out}: frames, sectors.parquet, scan.json" in result.stdout
-    assert out_files(out) == ["frames/frame.json", "frames/frame.ply", "scan.json", "sectors.parquet"]
+    assert out_files(out) == ["frames/frame.ply", "scan.json", "sectors.parquet"]
 
 
 def test_pictures_of_all_frames_or_of_every_nth_as_far_as_wanted(tmp_path):
