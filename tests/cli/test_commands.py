@@ -324,9 +324,9 @@ def test_a_drive_for_machines(tmp_path):
     drive, out = tmp_path / "drive", tmp_path / "out"
     for number in (2, 10):
         write_bin(drive / f"{number}.bin", scanned(seed=number))
-    (tmp_path / "poses.csv").write_text("t,x,y,z,qx,qy,qz,qw\n0,0,0,1,0,0,0,1\n1,1,0,1,0,0,0,1\n")
+    (tmp_path / "poses.txt").write_text("0 0 0 1 0 0 0 1\n1 1 0 1 0 0 0 1\n")
     words = ("--out", out, "--method", "filter", "--set", "products=table, cloud")
-    result = run("scan", drive, "--poses", tmp_path / "poses.csv", "--json", *words)
+    result = run("scan", drive, "--poses", tmp_path / "poses.txt", "--json", *words)
     assert result.exit_code == 0, result.output
     record = json.loads(result.stdout)
     assert record["frames"] == 2
