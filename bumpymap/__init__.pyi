@@ -10,9 +10,9 @@ from .core import (
     BumpymapError as BumpymapError,
     GroundGrid as GroundGrid,
     OutputError as OutputError,
+    Route as Route,
     UsageError as UsageError,
 )
-from .layers import PlannedRoute as PlannedRoute
 from .rating import (
     Calibration as Calibration,
     Vehicle as Vehicle,
@@ -39,7 +39,7 @@ __all__ = [
     "Layers",
     "LineRide",
     "OutputError",
-    "PlannedRoute",
+    "Route",
     "ScanClassifier",
     "ScanResult",
     "UsageError",

@@ -30,9 +30,7 @@ from bumpymap.layers import (
     MapFile,
     import_notebook,
     open_layer,
-    read_features,
     read_manifest,
-    require_format,
     require_tiles,
     require_written,
 )
@@ -42,7 +40,7 @@ if TYPE_CHECKING:
     import geopandas
     import xarray
 
-    from bumpymap.layers import PlannedRoute
+    from bumpymap.core import Route
     from bumpymap.views import Export
 
     Point = str | tuple[float, float]
@@ -159,30 +157,16 @@ class Layers:
             One row for each tile with points; the geometry is the square of the tile, in the survey's CRS.
         """
         with self._file(MapFile.TILES) as path:
-            require_format(path)
             require_tiles(path, self.manifest["counts"]["tiles"])
             return import_notebook("geopandas").read_parquet(path)
 
-    def regions(self) -> "geopandas.GeoDataFrame":
-        """Read cost.fgb.
-
-        Returns
-        -------
-        geopandas.GeoDataFrame
-            One row for each region, a group of adjacent tiles of one class; the geometry is its outline, in the
-            survey's CRS.
-        """
-        with self._file(MapFile.REGIONS_IN_CRS) as path:
-            (crs, geometry, columns), geopandas = read_features(path), import_notebook("geopandas")
-            return geopandas.GeoDataFrame(columns, geometry=geopandas.GeoSeries.from_wkb(geometry), crs=crs)
-
-    def route(self, start: "Point", goal: "Point", **settings: Any) -> "PlannedRoute":
+    def route(self, start: "Point", goal: "Point", **settings: Any) -> "Route":
         """Find the cheapest way over these layers; see `bumpymap.find_routes` for parameters and errors.
 
         Returns
         -------
-        PlannedRoute
-            With ``line`` [m], ``figures``, ``profile``, ``to_geodataframe()`` and ``plot()``.
+        Route
+            With ``line`` [m], ``figures`` and ``profile``.
         """
         from bumpymap.route import find_routes
 

@@ -71,7 +71,8 @@ def test_the_dataset_holds_every_band_as_rasterio_reads_it(layers):
 
 
 def test_objects_tiles_and_regions_are_those_of_the_files(layers):
-    objects, tiles, regions = layers.obstacles(), layers.tiles(), layers.regions()
+    objects, tiles = layers.obstacles(), layers.tiles()
+    regions = geopandas.read_file(layers.folder / "cost.fgb")
     with rasterio.open(layers.folder / "rasters/obstacle.tif") as file:
         np.testing.assert_array_equal(objects.values, file.read(1))
         assert objects.rio.transform() == file.transform == layers.heights().rio.transform()
@@ -112,7 +113,6 @@ def test_a_missing_or_damaged_layer_is_said(layers, tmp_path):
         ("rasters/heightmap.tif", opened.heights),
         ("rasters/class.tif", opened.dataset),
         ("tiles.parquet", opened.tiles),
-        ("cost.fgb", opened.regions),
     ):
         (folder / name).write_bytes(b"nothing")
         with pytest.raises(bumpymap.BadInputError, match=f"{name} is cut off or was changed|cannot read .*{name}"):
@@ -138,7 +138,7 @@ def test_without_the_extra_the_message_says_how_to_install_it(layers, monkeypatc
         return real(name, package)
 
     monkeypatch.setattr("bumpymap.layers._imports.import_module", refuse)
-    for call in (layers.dataset, layers.heights, layers.tiles, layers.regions):
+    for call in (layers.dataset, layers.heights, layers.tiles):
         with pytest.raises(bumpymap.UsageError, match=re.escape(install_command("notebook"))):
             call()
 

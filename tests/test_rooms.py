@@ -17,13 +17,13 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = {
     # room: (other rooms, packages of others that only some rooms may import)
     "core": (set(), {"blake3", "numpy", "onnxruntime", "pyproj", "rasterio", "scipy"}),
-    "readers": ({"core"}, {"lazrs", "numpy", "pyarrow", "pypcd4", "pyproj", "pyulog", "rasterio", "rosbags", "scipy"}),
+    "readers": ({"core"}, {"lazrs", "numpy", "pyarrow", "pypcd4", "pyproj", "rasterio", "rosbags", "scipy"}),
     "patches": ({"core"}, {"CSF", "numpy"}),
     "rating": ({"core"}, {"numpy", "scipy"}),
     "layers": (
         {"core"},
         {
-            *("geopandas", "laspy", "lazrs", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"),
+            *("laspy", "lazrs", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"),
             *("skimage", "xarray"),
         },
     ),
@@ -34,7 +34,7 @@ ROOMS = {
         {"numpy", "pyproj", "scipy", "skimage", "small_gicp"},
     ),
     "route": ({"core", "rating", "layers", "views"}, {"numpy", "scipy", "skimage", "xarray"}),
-    "change": ({"core", "layers", "views"}, {"geopandas", "numpy", "scipy"}),
+    "change": ({"core", "layers", "views"}, {"numpy", "scipy"}),
     "check": ({"core", "rating", "readers", "layers", "route", "views"}, {"numpy", "pyproj", "scipy"}),
     "lab": (
         {"core", "readers", "patches", "rating", "scan"},

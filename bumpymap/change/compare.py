@@ -32,11 +32,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtr
 
-from bumpymap.core import NORMAL_80
+from bumpymap.core import NORMAL_80, Floats
 from bumpymap.layers import SurveyPair
 from bumpytiles import TileWindow
 
-Floats = NDArray[np.float64]
 _FREEDOM = 30.0
 """Degrees of freedom of the tails, chosen: see above."""
 _NORMAL_MAD = 1.4826

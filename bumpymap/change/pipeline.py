@@ -5,12 +5,11 @@ Open both, find which tiles both have, compare heights and ride costs, decide, c
 
 import math
 import os
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack
+from typing import Any, TypeAlias, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +53,6 @@ from bumpymap.layers import (
     Placement,
     SurveyPair,
     SurveyTiles,
-    change_regions,
     label,
     open_pair,
     place_entries,
@@ -63,9 +61,6 @@ from bumpymap.layers import (
     write_change_regions,
 )
 from bumpymap.views import change_layers, least_volume_text, view_writers, write_change_report
-
-if TYPE_CHECKING:
-    import geopandas
 
 CHANGE_FILES = OutputFolder(
     ("change.tif", "change.geojson", "change.json", "change.qml", MapFile.PROJECT, REPORT_NAME),
@@ -178,23 +173,6 @@ class ChangeResult:
         """The folder of the files; None if none were written."""
         return self.files[0].parent if self.files else None
 
-    def regions(self) -> "geopandas.GeoDataFrame":
-        """Return the connected changes.
-
-        Returns
-        -------
-        geopandas.GeoDataFrame
-            One row for each, by its number in change.geojson, with the properties there; the geometry is its outline,
-            in the survey's CRS.
-
-        Raises
-        ------
-        UsageError
-            The extra ``notebook`` is not installed.
-        """
-        names = _describe(defaultdict(lambda: np.zeros(1, np.uint8)), 1.0)  # also where nothing has changed
-        return change_regions(self.field, tuple(names))
-
 
 def diff_surveys(
     before: PathLike, after: PathLike, out: PathLike | None = None, **settings: Unpack[DiffSettings]
@@ -221,8 +199,7 @@ def diff_surveys(
     Returns
     -------
     ChangeResult
-        ``counts`` and ``transitions`` (tiles), ``fit``, ``notes``, ``folder``, ``files``; ``regions()`` is a table of
-        the places that have changed.
+        ``counts`` and ``transitions`` (tiles), ``fit``, ``notes``, ``folder``, ``files``.
 
     Raises
     ------
@@ -237,8 +214,8 @@ def diff_surveys(
     --------
     >>> import bumpymap
     >>> change = bumpymap.diff_surveys("site_layers", "site_layers")
-    >>> change.counts["changed"], len(change.regions())
-    (0, 0)
+    >>> change.counts["changed"]
+    0
     """
     own = settings_of_call(settings, DiffConfig, "diff_surveys", DiffSettings.__annotations__)
     target = None if out is None else Path(path_of_call("out", out))

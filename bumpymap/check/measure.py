@@ -18,16 +18,13 @@ from bumpymap.check.inertial import (
     levelling,
     low_pass,
     pieces,
-    refuse_wrong_unit,
     rolling_mean,
     turned,
     upward_in_sensor,
 )
 from bumpymap.check.places import MetrePlaces, SlopeAt, near_place, smooth_velocity
 from bumpymap.check.track import DrivenTrack, TrackStart, fit_track
-from bumpymap.core import BadInputError, DriveLog, WheelTrack
-
-Floats = NDArray[np.float64]
+from bumpymap.core import BadInputError, DriveLog, Floats, Mask, WheelTrack
 
 COUNTS = 0
 """Value of ``DriveMeasure.reason`` for samples that count."""
@@ -77,8 +74,6 @@ class DriveMeasure:
         """The floor, 0 where it is not known, rad/s."""
         return 0.0 if np.isnan(self.floor_radps) else self.floor_radps
 
-
-Mask = NDArray[np.bool_]
 
 _WINDOW_S = 1.0
 """Time over which the shaking of a vehicle is measured, s (chosen)."""
@@ -258,7 +253,6 @@ def _rates(log: DriveLog, imu: EvenImu, places: MetrePlaces | None, band_hz: flo
     clock = 0.0, False, 0.0
     if places is not None:
         clock = fit_clock(places, imu.time, heading, log.name)
-        refuse_wrong_unit(places, clock[0], imu.time, heading, log.name)
     force = level_force(imu, levelling(up.mean(axis=0)), up) if imu.has_force else None
     return _Rates(standing, rate, attitude, heading, clock, force)
 

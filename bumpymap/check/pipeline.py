@@ -27,6 +27,7 @@ from bumpymap.core import (
     CheckResult,
     DriveLog,
     DrivenStretches,
+    Floats,
     MapAgreement,
     Progress,
     SilentProgress,
@@ -57,8 +58,6 @@ from bumpymap.rating import map_calibration
 from bumpymap.readers import close_log_reader, drive_files, read_drive
 from bumpymap.route import LineVehicle
 from bumpymap.views import check_layers, view_writers, write_check_page
-
-Floats = NDArray[np.float64]
 
 _LEAST_STRETCHES = 5
 """Fewest stretches of a rank correlation (chosen)."""
@@ -186,7 +185,7 @@ def check_drives(
     layers : path, Layers or None
         What `map_survey` or ``bumpymap map`` wrote; None measures the drives alone.
     drives : path, or several
-        Each a log (CSV, a bag of ROS, ULog), or the files of one drive joined by commas.
+        Each a log (CSV, a bag of ROS), or the files of one drive joined by commas.
     out : path, optional
         Folder for the page, the record and GIS layers; without it nothing is written.
     columns : mapping, optional

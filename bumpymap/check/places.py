@@ -8,12 +8,11 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 
-from bumpymap.core import BadInputError, DriveLog, PlaceTrack
+from bumpymap.core import BadInputError, DriveLog, Floats, PlaceTrack
 from bumpymap.layers import MapReader
 from bumpymap.route import extent_text
 from bumpytiles import TileWindow
 
-Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 _LEAST_PLACES = 20

@@ -17,12 +17,11 @@ from bumpymap.check.inertial import pieces
 from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure
 from bumpymap.check.places import window_around
 from bumpymap.check.settings import LEAST_WINDOW_M
-from bumpymap.core import NO_CLASS, NO_TILE, NORMAL_80, Barred, DrivenStretches, TileField, interval_log_sd
+from bumpymap.core import NO_CLASS, NO_TILE, NORMAL_80, Barred, DrivenStretches, Floats, TileField, interval_log_sd
 from bumpymap.layers import MapReader
 from bumpymap.rating import less_floor
 from bumpymap.route import LineRide, LineVehicle, points_along, ride_line
 
-Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 _BRIDGE_M, _BRIDGE_S = 1.0, 3.0

@@ -20,10 +20,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from bumpymap.check.inertial import EvenImu
 from bumpymap.check.places import MetrePlaces, Scatter, scatter_of
-from bumpymap.core import WheelTrack
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from bumpymap.core import Floats, Mask, WheelTrack
 
 STATES = 7
 """Unknowns at each knot: east, north, speed, turn, error east, error north, error of the acceleration."""

@@ -238,12 +238,11 @@ def _training(run: Run, out: Path, overwrite: bool) -> Iterator[CommandProgress]
 
 def _show_trained(run: Run, out: Path, parameters: int, lines: list[str], use: str) -> None:
     """Print the accuracy of a network, and the command that uses it."""
-    card = out.with_suffix(".md")
     lines += [
-        f"{out} ({parameters:,} trained numbers), {card}",
+        f"{out} ({parameters:,} trained numbers)",
         f"use it with: bumpymap {use} --out DIR --set model={out}",
     ]
-    run.show({"out": str(out), "card": str(card), "parameters": parameters}, lines)
+    run.show({"out": str(out), "parameters": parameters}, lines)
 
 
 def _show_sectors(progress: Progress) -> Callable[[int, int], None]:

@@ -75,8 +75,6 @@ def _row(route: "Route") -> tuple[str, ...]:
 
 
 def _remarks(route: "Route") -> Iterator[str]:
-    from bumpymap.layers import IRI_NOTE
-
     found = route.figures
     if found.unknown_m > 0:
         yield f"{found.unknown_m:,.0f} m lie on unknown ground, whose ride and risk are not in the figures"
@@ -90,9 +88,6 @@ def _remarks(route: "Route") -> Iterator[str]:
             f"the way turns by {found.tight_turns_deg:,.0f} degrees in all close to what stops the vehicle, where its "
             "corners may touch; arrives counts each degree as failing once in a hundred times"
         )
-    if (road := found.road) and road.resolution == "resolved":
-        iso = f", ISO 8608 class {road.iso_class}" if road.iso_class else ""
-        yield f"as a road: IRI {road.iri:.1f} m/km{iso} ({IRI_NOTE})"
     if route.straight and route.straight.words:
         yield route.straight.words
     rest = "and failures on different metres are independent; errors of neighbouring tiles go together"

@@ -100,7 +100,6 @@ from .files import (
     writing_to as writing_to,
 )
 from .gdal import (
-    CLOSED_GDAL as CLOSED_GDAL,
     block_bytes as block_bytes,
     closed_gdal as closed_gdal,
     gdal_text as gdal_text,
@@ -149,8 +148,6 @@ from .processes import (
     trim_shared as trim_shared,
 )
 from .route_types import (
-    Resolution as Resolution,
-    RoadFigures as RoadFigures,
     Route as Route,
     RouteFigures as RouteFigures,
     RouteProfile as RouteProfile,
@@ -231,7 +228,6 @@ from .settings import (
     refuse_faults as refuse_faults,
     refuse_unknown as refuse_unknown,
     settings_of_call as settings_of_call,
-    settings_schema as settings_schema,
     settings_template as settings_template,
     settings_with_options as settings_with_options,
     short_names as short_names,
@@ -291,7 +287,9 @@ from .types import (
     CostMap as CostMap,
     CostRule as CostRule,
     CostTable as CostTable,
+    Floats as Floats,
     Georeference as Georeference,
+    Mask as Mask,
     ObjectStack as ObjectStack,
     Orthophoto as Orthophoto,
     PatchStack as PatchStack,

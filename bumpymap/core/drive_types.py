@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core.settings import brief_repr
+from bumpymap.core.types import Floats
 
-Floats = NDArray[np.float64]
 PlaceKind = Literal["lonlat", "projected", "local"]
 """Positions are degrees of longitude and latitude (WGS 84), in the units of the map's CRS, or metres in a frame of the
 vehicle's own (odometry), which says how far it drove but not where."""

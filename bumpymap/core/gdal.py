@@ -18,7 +18,7 @@ from bumpymap.core.errors import BadInputError
 if TYPE_CHECKING:
     from rasterio.io import DatasetReader
 
-CLOSED_GDAL = {
+_CLOSED_GDAL = {
     "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",  # no .ovr and .msk, which GDAL opens by any driver
     "GDAL_PAM_ENABLED": "NO",  # no .aux.xml, which may name other files
     "CPL_VSIL_CURL_ALLOWED_FILENAME": "-",  # no network
@@ -53,7 +53,7 @@ def closed_gdal(**options: Any) -> Iterator[None]:
     """Let GDAL read a raster alone: no files beside it, no network, and no other thread of bumpymap."""
     import rasterio
 
-    with raster_lock(), rasterio.Env(**CLOSED_GDAL, **options):
+    with raster_lock(), rasterio.Env(**_CLOSED_GDAL, **options):
         yield
 
 

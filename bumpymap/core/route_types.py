@@ -6,14 +6,14 @@ Arrays of a window are (rows, cols), north row first. Lengths and coordinates ar
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core.config import DirectionSettings
-from bumpymap.core.seen_sizes import SeenSizes
-from bumpymap.core.types import CostRule, Georeference, obstacle_reach
+from bumpymap.core.seen_sizes import SeenSizes, chance_text
+from bumpymap.core.types import CostRule, Floats, Georeference, obstacle_reach
 from bumpytiles import Grid, TileWindow
 
 
@@ -61,9 +61,6 @@ class TileField:
     rule: CostRule
     """How ride and risk become cost."""
     vehicle: RouteVehicle
-
-
-Floats = NDArray[np.float64]
 
 
 def slope_cost(
@@ -168,47 +165,6 @@ class RouteProfile:
     """Speed made good on the tile, m/s."""
 
 
-Resolution = Literal["resolved", "limited by noise", "not resolvable", "unknown"]
-_CLASS_A = 32e-6
-"""Upper limit of class A, m3; each class ends at four times the one before (ISO 8608, table C.1)."""
-
-
-@dataclass(frozen=True, slots=True)
-class RoadFigures:
-    """Figures of one stretch of a line; of the ground NaN where less than nine tenths of it are known."""
-
-    every: float
-    """Length that the line was divided by, m; the last stretch may be longer or shorter."""
-    first: float
-    """m along the line; so is ``last``."""
-    last: float
-    iri: float
-    """International Roughness Index, mean of both wheel paths (MRI), m/km."""
-    iso_power: float
-    """Power of the heights at 0.1 cycles per metre, m3; `iso_class` names it. NaN for less than 40 m."""
-    resolution: Resolution
-    """How far the survey's noise lets IRI and class be determined; they are too high where it does not."""
-    height_rms: float
-    """Root mean square of the heights about the stretch's own line, m."""
-    grade: float
-    """Rise over length, m/m."""
-    crossfall: float
-    """Fall to the right over the width, m/m."""
-    c_r: float = math.nan
-    """Of the vehicle, with its 80 % interval, rad/m; NaN if unknown."""
-    c_r_low: float = math.nan
-    c_r_high: float = math.nan
-    a_w: float = math.nan
-    """Root mean square of the weighted vertical acceleration, m/s2; NaN if unknown."""
-
-    @property
-    def iso_class(self) -> str:
-        """ISO 8608 class, A (smoothest) to H; empty where unknown."""
-        if not self.iso_power > 0.0:
-            return ""
-        return "ABCDEFGH"[int(np.clip(np.ceil(np.log(self.iso_power / _CLASS_A) / np.log(4.0)), 0, 7))]
-
-
 @dataclass(frozen=True, slots=True)
 class RouteFigures:
     """Cost of a whole way."""
@@ -243,8 +199,6 @@ class RouteFigures:
     """Mean of the way itself, rolled over the pixels (`ride_along`), rad/m, with its 80 % interval; NaN if unknown."""
     c_r_line_low: float = math.nan
     c_r_line_high: float = math.nan
-    road: RoadFigures | None = None
-    """Of the whole way, in terms of road practice; None if it is shorter than 10 m or the ride of its line unknown."""
     seen: SeenSizes = SeenSizes()  # noqa: RUF009 (frozen)
     """Smallest objects that the survey would have shown on all but the worst twentieth of the way."""
 
@@ -312,5 +266,10 @@ class Route:
     """Weight of the hazard that it was planned with, m."""
     straight: StraightLine | None = None
     """The line between its stops; None if it was not looked at."""
-    road: tuple[RoadFigures, ...] = ()
-    """Of its stretches: every 10 m, then every 100 m; none if ``figures`` have none."""
+
+    def __repr__(self) -> str:
+        found = self.figures
+        return (
+            f"<Route {self.name} for {self.vehicle.name}: {found.length_m:,.1f} m, cost {found.cost_m:,.1f} m, "
+            f"c_r {found.c_r_mean:.3f} rad/m, arrives {chance_text(found.p_arrives)} {found.seen.condition}>"
+        )

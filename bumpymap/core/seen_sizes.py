@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core.errors import share_text
-
-Floats = NDArray[np.float64]
+from bumpymap.core.types import Floats
 
 OBSTACLE_SHARE = 0.02
 """Share of a neighbourhood's points that makes an obstacle: at 100 points/m2 and more a bird has more than one."""

@@ -19,6 +19,9 @@ from bumpytiles import Column, Grid, TileTable
 if TYPE_CHECKING:
     from pyproj import CRS
 
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
 THIN_POINTS = 4
 """A thin tile with fewer points is unknown: three lie on a plane, whatever the ground."""
 

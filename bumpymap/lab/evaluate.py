@@ -20,6 +20,7 @@ from bumpymap.core import (
     NOT_TRAVERSABLE,
     BadInputError,
     ClassedSectors,
+    Floats,
     Progress,
     Scan,
     SectorStack,
@@ -31,7 +32,6 @@ from bumpymap.lab.settings import ScanEvaluateSettings
 from bumpymap.readers import read_scan
 from bumpymap.scan import ScanModel, StripeModel, classify_filter, classify_learned, polar_sectors
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 DEVIATION = "deviation of z"
 """Name of the answers from two limits on the standard deviation of z of all points of a sector."""

@@ -19,10 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from bumpymap.core import TEXTURES, Texture, UsageError
+from bumpymap.core import TEXTURES, Floats, Texture, UsageError
 from bumpymap.rating import normalise, remove_plane
 
-Floats = NDArray[np.float64]
 Shape = Callable[[np.random.Generator, Floats, Floats, int], Floats]
 """(random generator, eastings and northings from the middle of the tile [m], samples along a pixel) -> heights, m."""
 

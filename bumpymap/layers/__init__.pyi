@@ -19,7 +19,6 @@ from .change import (
     ChangeField as ChangeField,
     SurveyPair as SurveyPair,
     SurveyTiles as SurveyTiles,
-    change_regions as change_regions,
     open_pair as open_pair,
     write_change_raster as write_change_raster,
     write_change_regions as write_change_regions,
@@ -69,7 +68,6 @@ from .lazy_raster import (
 )
 from .manifest import (
     COUNT as COUNT,
-    IRI_NOTE as IRI_NOTE,
     ISLAND_M2 as ISLAND_M2,
     MANIFEST_NAME as MANIFEST_NAME,
     PLACE_SHAPE as PLACE_SHAPE,
@@ -87,8 +85,6 @@ from .map_files import (
     open_layer as open_layer,
     read_averaged as read_averaged,
     read_colours as read_colours,
-    read_features as read_features,
-    require_format as require_format,
     require_written as require_written,
 )
 from .map_reader import (
@@ -122,21 +118,18 @@ from .regions import (
     label as label,
 )
 from .route_files import (
-    PlannedRoute as PlannedRoute,
     ReachField as ReachField,
     reach_dataset as reach_dataset,
     route_coordinates as route_coordinates,
     route_properties as route_properties,
     stop_names as stop_names,
     stop_roles as stop_roles,
-    stretch_rows as stretch_rows,
     window_around as window_around,
     write_gpx as write_gpx,
     write_isochrones as write_isochrones,
     write_profile as write_profile,
     write_reach as write_reach,
     write_route_geojson as write_route_geojson,
-    write_route_stretches as write_route_stretches,
 )
 from .route_inputs import (
     geojson_features as geojson_features,

@@ -1,17 +1,15 @@
 """The layers of two surveys where both have tiles, and what has changed between them: change.tif, change.geojson."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, Band
 from bumpymap.layers._cog import write_array
-from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.map_files import require_written
 from bumpymap.layers.map_reader import MapReader, common_window, open_map
 from bumpymap.layers.placement import Placement, RasterSpec
@@ -19,9 +17,6 @@ from bumpymap.layers.products import MapFile
 from bumpymap.layers.regions import trace_all
 from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
 from bumpytiles import TileWindow
-
-if TYPE_CHECKING:
-    import geopandas
 
 _COMPARED_BANDS = ("c_r", "c_r_low", "c_r_high", "density", "coverage")
 _MOST_TILES = 100_000_000
@@ -171,19 +166,6 @@ class ChangeField:
     """Number of the connected change that a tile belongs to, 1..m; 0: none."""
     regions: tuple[Mapping[str, Any], ...]
     """(m,) properties of each."""
-
-
-def change_regions(field: ChangeField, names: Sequence[str]) -> "geopandas.GeoDataFrame":
-    """Return the connected changes as a table: outlines in the survey's CRS, and the properties ``names`` of each.
-
-    Raises UsageError: the extra ``notebook`` is not installed.
-    """
-    geopandas = import_notebook("geopandas")
-    place, count = field.placement, len(field.regions)
-    outlines = [shapely.transform(one, place.to_crs) for one in trace_all(field.area, place.window, count)]
-    columns = {name: [about[name] for about in field.regions] for name in names}
-    index = import_notebook("pandas").RangeIndex(1, count + 1, name="id")
-    return geopandas.GeoDataFrame(columns, geometry=outlines, crs=place.horizontal_crs, index=index)
 
 
 def write_change_raster(field: ChangeField, path: Path) -> None:

@@ -52,7 +52,6 @@ _STEPS = {"c_r": 1 / 8192, "slope": 1 / 512}
 _SEEN_STEPS = dict(zip(SEEN_COLUMNS, (1 / 16, 1 / 2048, 1 / 2048), strict=True))
 """The same of what the survey would have shown, points/m2 and m: up to 4096 points/m2 and 32 m."""
 
-IRI_NOTE = "of a car at 80 km/h on both wheel paths; waves that photogrammetry adds count too"
 ISLAND_M2 = 500.0
 """Area under which a zone that is not the largest is an island, m2: chosen, 55 tiles of 3 m."""
 

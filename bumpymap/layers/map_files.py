@@ -1,33 +1,24 @@
 """Files of a map as they are read back: opened as the one format that each must be, and held against their manifest.
 
-A folder of layers may come from anybody, so rasters are opened as `bumpymap.core.open_tiff` does. Vector files are read
-in a process whose GDAL has no drivers but those of their formats, under limits of time and memory.
+A folder of layers may come from anybody, so rasters are opened as `bumpymap.core.open_tiff` does.
 """
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bumpymap.core import (
-    CLOSED_GDAL,
     BadInputError,
-    Child,
-    DecoderError,
-    Guard,
     closed_gdal,
     gdal_text,
-    module_folder,
-    open_regular,
     open_tiff,
     raster_lock,
 )
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
     from rasterio.io import DatasetReader
 
@@ -57,9 +48,6 @@ def read_colours(
     found = file.read((1, 2, 3), window=window, out_shape=(3, *shape), resampling=Resampling.average, masked=True)
     colours: NDArray[Any] = found.astype(np.float32).filled(np.nan)
     return colours
-
-
-_STARTS = {".fgb": b"fgb\3", ".parquet": b"PAR1", ".shp": b"\0\0\x27\x0a", ".gpkg": b"SQLite format 3\0"}
 
 
 @contextmanager
@@ -133,68 +121,6 @@ class KeptRasters:
     def _close_unkept(self) -> None:
         while self._open and not self._keepers:
             self._open.popitem()[1].close()
-
-
-def require_format(path: Path) -> None:
-    """Raise BadInputError if a file does not begin as the format does that its name states."""
-    try:
-        with open_regular(path) as file:
-            start = file.read(16)
-    except OSError as error:
-        raise BadInputError(f"cannot read {path}: {error.strerror or error}") from error
-    if not start.startswith(_STARTS[path.suffix.lower()]):
-        raise BadInputError(
-            f"cannot read {path}: it does not begin as such a file does. It is damaged, or of another format"
-        )
-
-
-_DRIVERS = {".fgb": "FlatGeobuf", ".gpkg": "GPKG", ".shp": "ESRI Shapefile"}
-SECONDS, SECONDS_PER_BYTE = 10.0, 2e-6
-"""Limit of the processor time to read a vector file, and for each of its bytes: ten times what real ones need."""
-_MEMORY, _MEMORY_PER_BYTE = 1 << 30, 30
-"""Limit of the memory of the process that reads one, likewise."""
-
-
-def read_features(
-    path: Path, columns: Collection[str] | None = None
-) -> "tuple[str | None, NDArray[np.object_], dict[str, NDArray[Any]]]":
-    """Read the only layer of geometries of a FlatGeobuf, GeoPackage or Shapefile by the driver of its format alone.
-
-    ``columns``: names of the columns that are read, where they are there; None: all. Returns ``crs``: as the file
-    states it: code or WKT; ``geometry`` (n,): WKB in two dimensions; None for a feature without one; ``columns``: name
-    -> (n,) values. Raises BadInputError: it is missing, damaged or of another format, computes what it holds, or holds
-    several layers of geometries; UsageError: no process can be started.
-    """
-    parts = [part for part in path.parent.iterdir() if part.stem == path.stem] if path.parent.is_dir() else []
-    if pipes := [part for part in parts if part.exists() and not (part.is_file() or part.is_dir())]:
-        raise BadInputError(f"cannot read {path}: {pipes[0]} is a pipe or a device. Remove it")
-    require_format(path)
-    size = sum(part.stat().st_size for part in parts if part.is_file())
-    guard = Guard(lambda: _vector_child(_skipped_drivers()), "reads vector files", "pyogrio")
-    try:
-        limits = {"seconds": SECONDS + SECONDS_PER_BYTE * size, "memory": _MEMORY + _MEMORY_PER_BYTE * size}
-        crs, geometry, values = guard.call("read", str(path.absolute()), columns, list(_DRIVERS.values()), **limits)
-    except DecoderError as error:
-        raise BadInputError(f"cannot read {path}: {error}. Save it again, as GeoJSON for example") from error
-    finally:
-        guard.end()
-    return crs, geometry, values
-
-
-def _vector_child(skipped: str) -> Child:
-    folders = [module_folder("pyogrio"), module_folder("numpy"), str(Path(__file__).parent)]
-    closed = {**CLOSED_GDAL, "GDAL_SKIP": skipped, "PROJ_NETWORK": "OFF"}
-    return Child("to read vector files", "_vector_child", folders, closed)
-
-
-@cache
-def _skipped_drivers() -> str:
-    """Return the names of all vector drivers but those of the formats that are read, as GDAL takes them."""
-    guard = Guard(lambda: _vector_child(""), "lists the formats of GDAL", "pyogrio")
-    try:
-        return ",".join(sorted(set(guard.call("vector_drivers", seconds=SECONDS)) - set(_DRIVERS.values())))
-    finally:
-        guard.end()
 
 
 def require_written(

@@ -1,4 +1,4 @@
-"""The files of routes, route.geojson (RFC 7946), route.gpx (GPX 1.1), profile.csv and stretches.csv, and of reaches.
+"""The files of routes, route.geojson (RFC 7946), route.gpx (GPX 1.1), profile.csv, and of reaches.
 
 Coordinates are in the survey's CRS, and in WGS 84 longitude and latitude where that CRS is known. Elements of GPX stand
 in the order of the schema (http://www.topografix.com/GPX/1/1/gpx.xsd). No time is written: the same route has the
@@ -21,14 +21,12 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError, Band, Route, atomic, chance_text, write_csv
 from bumpymap.layers._cog import write_array
 from bumpymap.layers._imports import import_notebook
-from bumpymap.layers.manifest import IRI_NOTE
 from bumpymap.layers.placement import Placement, RasterSpec
 from bumpymap.layers.regions import label, trace_all
 from bumpymap.layers.vector import DEGREE_DECIMALS, GeoJsonCoordinates, feature, write_features
 from bumpytiles import TileWindow
 
 if TYPE_CHECKING:
-    import geopandas
     import xarray
 
 P_ARRIVES_NOTE = "errors of neighbouring tiles go together: an estimate"
@@ -50,17 +48,11 @@ _DECIMALS = {
 
 def route_properties(route: Route) -> dict[str, Any]:
     """Return name, vehicle and figures of a route; a number that is not known is None."""
-    figures, road = route.figures, route.figures.road
-    # IRI and class are given where the survey's noise allows it.
-    resolved = road if road and road.resolution == "resolved" else None
+    figures = route.figures
     return {
         "name": route.name,
         "vehicle": route.vehicle.name,
         **{name: _rounded(float(getattr(figures, name)), decimals) for name, decimals in _DECIMALS.items()},
-        "iri": _rounded(resolved.iri, 2) if resolved else None,
-        "iso_8608": _rounded(resolved.iso_class, 0) if resolved else None,
-        "iri_resolution": road.resolution if road else "unknown",
-        "iri_note": IRI_NOTE,
         "p_arrives_note": f"{figures.seen.condition}; {P_ARRIVES_NOTE}",
         **figures.seen.record(),
         "risk_m": _rounded(route.risk_m, 3),
@@ -68,10 +60,8 @@ def route_properties(route: Route) -> dict[str, Any]:
     }
 
 
-def _rounded(value: float | str, decimals: int) -> float | str | None:
-    """Round a number; None for one that is not finite, and for an empty text."""
-    if isinstance(value, str):
-        return value or None
+def _rounded(value: float, decimals: int) -> float | None:
+    """Round a number; None for one that is not finite."""
     return round(value, decimals) if math.isfinite(value) else None
 
 
@@ -240,80 +230,6 @@ def write_profile(route: Route, path: Path) -> None:
         for values, decimals in zip(columns, _PROFILE.values(), strict=True)
     ]
     write_csv(path, PROFILE_COLUMNS, zip([route.name] * len(profile.distance), *texts, strict=True))
-
-
-_STRETCHES: Mapping[str, tuple[str, int]] = {
-    "every_m": ("every", 3),
-    "from_m": ("first", 3),
-    "to_m": ("last", 3),
-    "c_r": ("c_r", _SMALL),
-    "c_r_low": ("c_r_low", _SMALL),
-    "c_r_high": ("c_r_high", _SMALL),
-    "a_w": ("a_w", 4),
-    "grade": ("grade", 5),
-    "crossfall": ("crossfall", 5),
-    "height_rms_m": ("height_rms", 5),
-    "iri": ("iri", 3),
-    "iso_8608": ("iso_class", 0),
-    "iri_resolution": ("resolution", 0),
-}
-"""Columns of stretches.csv after the route: attribute of `RoadFigures`, decimals."""
-STRETCH_COLUMNS = ("route", *_STRETCHES)
-
-
-def stretch_rows(route: Route) -> list[dict[str, Any]]:
-    """Return the figures of the stretches of a route, by the names of ``STRETCH_COLUMNS``; None where unknown."""
-    return [
-        {name: _rounded(getattr(stretch, key), decimals) for name, (key, decimals) in _STRETCHES.items()}
-        for stretch in route.road
-    ]
-
-
-def write_route_stretches(route: Route, path: Path) -> None:
-    """Write the figures of the stretches of a route as CSV (RFC 4180, UTF-8); what is unknown is empty."""
-    write_csv(path, STRETCH_COLUMNS, ((route.name, *row.values()) for row in stretch_rows(route)))
-
-
-class PlannedRoute(Route):
-    """A way over a map, with its figures and profile."""
-
-    __slots__ = ()
-
-    def to_geodataframe(self) -> "geopandas.GeoDataFrame":
-        """Return one row: the way as a line in the survey's CRS, and its figures as columns.
-
-        Raises
-        ------
-        UsageError
-            The extra ``notebook`` is not installed.
-        """
-        line = shapely.LineString(self.line / self.georeference.metres_per_unit)
-        crs = self.georeference.crs
-        flat = None if crs is None else crs.to_2d()
-        return import_notebook("geopandas").GeoDataFrame([route_properties(self)], geometry=[line], crs=flat)
-
-    def plot(self, ax: Any = None, **style: Any) -> Any:
-        """Draw the way with matplotlib, in coordinates of the survey's CRS.
-
-        Parameters
-        ----------
-        ax : matplotlib Axes, optional
-            Where to draw it, such as over ``layers.dataset().c_r.plot()``.
-        **style
-            Of `geopandas.GeoDataFrame.plot`: ``color``, ``linewidth``, ...
-
-        Returns
-        -------
-        matplotlib Axes
-        """
-        return self.to_geodataframe().plot(ax=ax, **style)
-
-    def __repr__(self) -> str:
-        found = self.figures
-        return (
-            f"<Route {self.name} for {self.vehicle.name}: {found.length_m:,.1f} m, cost {found.cost_m:,.1f} m, "
-            f"c_r {found.c_r_mean:.3f} rad/m, arrives {chance_text(found.p_arrives)} {found.seen.condition}>"
-        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,7 @@
 """Points and areas of a user's file, for routes: geometries, names and CRS; the tiles that areas touch or hold.
 
 GeoJSON, GPX and CSV are read here: GDAL would choose a driver by what the file holds, and some formats name other files
-or URLs to read. The binary formats go to `read_features`.
+or URLs to read.
 """
 
 import csv
@@ -35,38 +35,28 @@ from bumpymap.core import (
     short_repr,
     stated_crs,
 )
-from bumpymap.layers.map_files import read_features
 from bumpymap.layers.map_reader import MapReader
 from bumpytiles import Grid, TileWindow
 
-_REMEDY = "Give a vector file such as GeoJSON, which a GIS can save"
+_REMEDY = "Give a GeoJSON, which a GIS can save"
 
 
 VectorLayer = tuple[NDArray[np.object_], list[str], CRS | None]
-"""One layer of a vector file: shapely geometries in two dimensions, of the features that have one, (n,); their field
+"""Content of a file: shapely geometries in two dimensions, of the features that have one, (n,); their field
 ``name``, empty without one; the CRS as the file states it, of a GeoJSON that states none longitude and latitude, or
 None if its numbers cannot be degrees."""
 
 
 def read_vectors(path: Path) -> VectorLayer:
-    """Read the only layer of a vector file; of a GPX file the waypoints, or else the points of its routes.
+    """Read a GeoJSON or GPX file; of the latter the waypoints, or else the points of its routes.
 
-    Raises BadInputError: the file is missing, damaged or no vector file, or it has several layers.
+    Raises BadInputError: the file is missing, damaged or of another format.
     """
     try:
-        if path.suffix.lower() in {".geojson", ".json"}:
-            return _read_geojson(path)
-        if path.suffix.lower() == ".gpx":
-            return _read_gpx(path)
+        return _read_gpx(path) if path.suffix.lower() == ".gpx" else _read_geojson(path)
     except (OSError, ValueError, SyntaxError) as error:
         raise BadInputError(f"cannot read {path}: {error}. {_REMEDY}") from error
     except CRSError as error:
-        raise BadInputError(f"cannot read {path}: {str(error).splitlines()[0]}. {_REMEDY}") from error
-    crs, geometry, columns = read_features(path, ["name"])
-    try:
-        names = columns.get("name", [None] * len(geometry))
-        return _layer(shapely.from_wkb(geometry), names, None if crs is None else stated_crs(crs))
-    except (CRSError, ValueError, shapely.errors.GEOSException) as error:
         raise BadInputError(f"cannot read {path}: {str(error).splitlines()[0]}. {_REMEDY}") from error
 
 
@@ -261,7 +251,6 @@ def _read_csv(path: Path) -> list[FilePoint]:
 
 
 _GEOJSON = (".geojson", ".json")
-_SUFFIXES = (*_GEOJSON, ".gpkg", ".fgb", ".shp")
 _POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
 _ROUNDING = 1e-6
 """Length that is no overlap, in tiles: areas that share a border with a tile neither touch it nor leave it out."""
@@ -277,20 +266,21 @@ def read_areas(
 ) -> NDArray[np.object_]:
     """Read polygons and place them on the grid of a map.
 
-    Their CRS is the one that the file states; a GeoJSON that states none is in longitude and latitude, or in the map's
-    CRS if its numbers cannot be degrees. If the map has no CRS, they must be in the survey's own coordinates: a file
-    without a CRS, or a GeoJSON.
+    Their CRS is the one that the file states, else longitude and latitude, or the map's CRS if its numbers cannot be
+    degrees. If the map has no CRS, they must be in the survey's own coordinates.
 
-    ``path``: GeoJSON, GeoPackage, FlatGeobuf or Shapefile; ``allow_outside``: whether it is no error that an area does
+    ``path``: a GeoJSON; ``allow_outside``: whether it is no error that an area does
     not lie on the map. Returns (n,) shapely polygons: in metres on the grid, cut off somewhat beyond the map;
     without those that do not lie on it, which a warning names. Raises BadInputError: the file is missing, damaged or of
-    another format, holds something else than polygons, or states no CRS while the map has one, or one while the map has
-    none; or an area does not lie on the map.
+    another format, or holds something else than polygons; or an area does not lie on the map.
     """
     path = Path(path)
-    if not path.is_file() or path.suffix.lower() not in _SUFFIXES:
+    if not path.is_file() or path.suffix.lower() not in _GEOJSON:
         what = "is not a file of polygons that can be read" if path.is_file() else "is missing"
-        raise BadInputError(f"{path} {what}. Give polygons as {', '.join(_SUFFIXES)}")
+        raise BadInputError(
+            f"{path} {what}. Give polygons as {' or '.join(_GEOJSON)}; QGIS saves a layer so, or "
+            "ogr2ogr -t_srs EPSG:4326 OUT.geojson FILE"
+        )
     geometry, _, crs = read_vectors(path)
     kinds = shapely.get_type_id(geometry)
     if not len(kinds) or not np.isin(kinds, _POLYGONS).all():
@@ -352,20 +342,10 @@ def _on_grid(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_m
     """Convert geometries of a file to metres on the grid."""
     map_crs, unit = route_map.georeference.crs, route_map.georeference.metres_per_unit
     if map_crs is None:
-        if crs is not None and path.suffix.lower() not in _GEOJSON:  # a GeoJSON can only state longitude and latitude
-            raise BadInputError(
-                f"{path} is in {crs.name}, and the map has no CRS. Save the areas in the survey's own coordinates and "
-                "without a CRS, or map the survey with `crs='EPSG:CODE'`"
-            )
-        return np.asarray(shapely.transform(geometry, lambda xy: xy * unit), object)
-    if crs is None and path.suffix.lower() in _GEOJSON:
-        _log.warning("the numbers of %s cannot be degrees: they are read in %s", path, describe_crs(map_crs.to_2d()))
         return np.asarray(shapely.transform(geometry, lambda xy: xy * unit), object)
     if crs is None:
-        raise BadInputError(
-            f"{path} states no CRS, so its place on the map is not known. Save it with the CRS "
-            f"{describe_crs(map_crs.to_2d())}, or as GeoJSON in longitude and latitude"
-        )
+        _log.warning("the numbers of %s cannot be degrees: they are read in %s", path, describe_crs(map_crs.to_2d()))
+        return np.asarray(shapely.transform(geometry, lambda xy: xy * unit), object)
     try:
         transformer = Transformer.from_crs(crs, map_crs.to_2d(), always_xy=True)
     except ProjError as error:

@@ -1,13 +1,7 @@
-"""Write the data of scans: one row per sector of all frames, an accumulated survey, and the files of each frame.
+"""Write the data of scans: one row per sector of all frames, an accumulated survey, and each frame's points."""
 
-Of a frame these are its sectors as polygons, and its points with their classes.
-"""
-
-import json
-import math
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -23,16 +17,13 @@ from bumpymap.core import (
     NOT_TRAVERSABLE,
     ClassedSectors,
     Scan,
-    SectorStack,
     sector_bounds,
     write_vertices,
 )
 from bumpymap.layers.scan_folder import (
     FRAME_FILES,
     FRAME_FOLDER,
-    SCAN_CLASS_NAMES,
     SCAN_COLOURS,
-    class_index,
     point_styles,
 )
 from bumpymap.layers.tile_table import described_field, typed_array
@@ -193,87 +184,14 @@ def write_cloud(scan: Scan, classed: ClassedSectors, path: Path) -> None:
         write_vertices(vertex, _ABOUT, stream)
 
 
-_MAX_DEVIATION_M = 0.01
-"""Largest distance between an arc and the line segments that approximate it."""
-
-
-def outlines(stack: SectorStack) -> list[NDArray[np.float64]]:
-    """Return the outline of each sector: (k, 2) x and y, m, counter-clockwise, last vertex equal to the first.
-
-    Adjacent sectors of a zone share their vertices.
-    """
-    bounds, settings = sector_bounds(stack), stack.settings
-    found: list[NDArray[np.float64]] = []
-    ends = (*settings.zone_starts_m[1:], settings.end_m)
-    for zone, (end, sectors) in enumerate(zip(ends, settings.sectors, strict=True)):
-        here = stack.zone == zone
-        # line segments of an arc
-        steps = math.ceil(math.pi / sectors / math.acos(max(1.0 - _MAX_DEVIATION_M / end, -1.0)))
-        azimuth = np.linspace(bounds.right[here], bounds.left[here], steps + 1, axis=1)
-        arc = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=2)
-        near, far = bounds.near[here][:, None, None], bounds.far[here][:, None, None]
-        outline = np.concatenate([far * arc, near * arc[:, ::-1], far * arc[:, :1]], axis=1)
-        # A sector that starts at the sensor has one vertex there.
-        tip = np.r_[: steps + 2, 2 * steps + 2]
-        found += [one if start > 0.0 else one[tip] for one, start in zip(outline, bounds.near[here], strict=True)]
-    return found
-
-
-_PLACE = (
-    "metres in the frame of the sensor, x forward, y to the left; no longitude and latitude, so this is not a file of "
-    "RFC 7946"
-)
-
-
-def write_polygons(name: str, classed: ClassedSectors, path: Path) -> None:
-    """Write the sectors of the frame ``name`` in the order of the stack, with coordinates rounded to 1 mm."""
-    stack = classed.sectors
-    found = outlines(stack)
-    # All are rounded and converted at once, which takes a tenth of the time.
-    vertices = iter(np.round(np.concatenate([*found, np.empty((0, 2))]), 3).tolist())
-    rings = [list(islice(vertices, len(outline))) for outline in found]
-    record = {
-        "type": "FeatureCollection",
-        "frame": name,
-        "coordinates_in": _PLACE,
-        "method": classed.method,
-        "features": [
-            {"type": "Feature", "properties": properties, "geometry": {"type": "Polygon", "coordinates": [ring]}}
-            for properties, ring in zip(_properties(classed), rings, strict=True)
-        ],
-    }
-    path.write_text(json.dumps(record, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def _properties(classed: ClassedSectors) -> list[dict[str, Any]]:
-    """Return the columns of the table without those that the outlines tell, a dict for each sector."""
-    rows = sector_rows("", classed).drop_columns(["frame", "near", "far", "right", "left"])
-    if classed.ride is None:
-        rows = rows.drop_columns(RIDE_COLUMNS)
-    columns = {
-        name: _numbers(values.to_numpy()) if values.type == pa.float32() else values.to_pylist()
-        for name, values in zip(rows.column_names, rows.columns, strict=True)
-    }
-    columns["normal"] = list(zip(*(columns.pop(f"normal_{axis}") for axis in "xyz"), strict=True))
-    columns["class_name"] = [SCAN_CLASS_NAMES[place] for place in class_index(classed).tolist()]
-    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-
-
-def _numbers(values: NDArray[np.float32]) -> list[float | None]:
-    """Round to the seven digits of a float32; what is not finite becomes None, since JSON has no NaN."""
-    return [float(f"{value:.7g}") if math.isfinite(value) else None for value in values.tolist()]
-
-
 def frame_files(name: str, folder: Path, products: Collection[str]) -> list[Path]:
     """Return the files of a frame's own."""
     endings = [ending for product, ending in FRAME_FILES.items() if product in products]
     return [folder / FRAME_FOLDER / f"{name}{ending}" for ending in endings]
 
 
-def write_frame(name: str, scan: Scan, classed: ClassedSectors, files: Iterable[Path]) -> None:
-    """Write those of the `frame_files` of the frame ``name`` that are data, without flushing them to the disk."""
+def write_frame(scan: Scan, classed: ClassedSectors, files: Iterable[Path]) -> None:
+    """Write those of the `frame_files` of a frame that are data, without flushing them to the disk."""
     for path in files:
-        if path.suffix == FRAME_FILES["polygons"]:
-            write_polygons(name, classed, path)
-        elif path.suffix == FRAME_FILES["cloud"]:
+        if path.suffix == FRAME_FILES["cloud"]:
             write_cloud(scan, classed, path)

@@ -80,7 +80,7 @@ def point_styles(classed: ClassedSectors) -> NDArray[np.uint8]:
 
 
 FRAME_FOLDER = "frames"
-FRAME_FILES = {"polygons": ".json", "cloud": ".ply", "picture": ".png"}
+FRAME_FILES = {"cloud": ".ply", "picture": ".png"}
 """File suffix of each product that is written per frame."""
 
 

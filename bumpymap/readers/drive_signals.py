@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, DriveLog, ImuTrack, PlaceKind, PlaceTrack, UsageError, WheelTrack
+from bumpymap.core import BadInputError, DriveLog, Floats, ImuTrack, PlaceKind, PlaceTrack, UsageError, WheelTrack
 
 RATES = ("rate_x", "rate_y", "rate_z")
 ACCELERATIONS = ("acc_x", "acc_y", "acc_z")
@@ -20,8 +20,6 @@ LONLAT = ("longitude", "latitude")
 EASTING_NORTHING = ("easting", "northing")
 LOCAL = ("x", "y")
 SIDES = ("speed_left", "speed_right")
-DOWN = frozenset({"rate_y", "rate_z", "acc_y", "acc_z", "pitch", "yaw", "q_y", "q_z"})
-"""Quantities whose sign differs between x forward, y right, z down and x forward, y left, z up."""
 DIMENSIONS: Mapping[str, str] = {
     "time": "time",
     **dict.fromkeys(RATES, "rate"),
@@ -168,7 +166,6 @@ def _named(text: str, names: Sequence[str]) -> str | None:
     return same[0] if len(same) == 1 else None
 
 
-Floats = NDArray[np.float64]
 Track = TypeVar("Track", "Signal", PlaceTrack, WheelTrack)
 
 
@@ -406,7 +403,7 @@ _BRIDGED_S = 0.25
 """Accelerations are interpolated over at most so much time."""
 _COLUMNS = {
     "angular rates": {*RATES, "imu"},
-    "attitudes": {*ANGLES, *QUATERNION, "imu", "odometry", "attitude"},
+    "attitudes": {*ANGLES, *QUATERNION, "imu", "odometry"},
     "accelerations": {*ACCELERATIONS, "imu"},
     "positions": {*LONLAT, *EASTING_NORTHING, *LOCAL, "error", "fix", "gnss", "odometry"},
     "wheel speeds": {"speed", *SIDES, "odometry", "twist"},

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, CrsStatement, Place, PointCloud, georeference
+from bumpymap.core import BadInputError, CrsStatement, Floats, Place, PointCloud, georeference
 from bumpymap.readers.point_stats import PointStats
 from bumpymap.readers.protocol import (
     CHUNK_POINTS,
@@ -28,8 +28,6 @@ from bumpytiles import DECIMALS
 
 _BLOCK = 100_000
 """Points of text that are parsed at once."""
-
-Floats = NDArray[np.float64]
 
 
 CLASS_COLUMNS = ("classification", "scalar_classification", "class")

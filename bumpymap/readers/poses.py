@@ -1,14 +1,12 @@
-"""The pose of the sensor at each frame, from a file of poses: KITTI, TUM, or CSV with a header.
+"""The pose of the sensor at each frame, from a file of poses: KITTI or TUM.
 
 Poses and frames that both have times are matched by time: the poses may have another rate, and are interpolated. Others
 must be as many as the frames, in the same order.
 """
 
-import csv
 import logging
 import re
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -27,12 +25,12 @@ _EPOCH = ((1e8, 1e10, 1.0), (1e11, 1e13, 1e-3), (1e14, 1e16, 1e-6), (1e17, 1e19,
 """From, to, unit in seconds: times since 1970 (from 1973 on) tell their unit by their size."""
 _STAMP = re.compile(r"(?<!\d)(?:(\d{9,10})([._])(\d{1,9})|(\d{13}|\d{16}|\d{19}))(?!\d)")
 _WHOLE = re.compile(r"(?<!\d)\d{10}(?!\d)")
-_PLACE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-_MATRIX = tuple(f"t{row}{column}" for row in range(3) for column in range(4))
-_TIME = ("time", "stamp", "timestamp", "t", "sec", "secs", "seconds", "__time", "%time")
-_NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanosecs")
-_SYNONYMS = {"tx": "x", "ty": "y", "tz": "z"}
-_FORMATS = "Poses are KITTI (12 numbers), TUM (8: time, x, y, z, qx, qy, qz, qw), or CSV with a header"
+_KITTI, _TUM = 12, 8
+"""Numbers of a pose in each format."""
+_FORMATS = (
+    f"Poses are KITTI ({_KITTI} numbers each) or TUM ({_TUM}: time, x, y, z, qx, qy, qz, qw), without a line of names; "
+    "evo_traj makes TUM of those in bags and of EuRoC"
+)
 _CALIB, _TIMES = "calib.txt", "times.txt"
 _POINT_FOLDERS = (*POINT_FOLDERS, "data")
 """Folders of frames inside of a sequence, which holds the files beside them."""
@@ -66,7 +64,7 @@ _PoseFile = tuple[NDArray[np.float64] | None, NDArray[np.float64], bool]
 def read_poses(path: Path, frames: Sequence[Path], known: NDArray[np.float64] | None = None) -> FramePoses:
     """Read the pose of each frame.
 
-    ``path``: KITTI, TUM or CSV. KITTI's ``calib.txt`` beside it or beside the frames is used;
+    ``path``: KITTI or TUM. KITTI's ``calib.txt`` beside it or beside the frames is used;
     ``frames``: files of scans; ``known`` (n,) float64: times of the frames, s, if they have none of
     their own: those of messages in a bag. Raises BadInputError: the file cannot be read or holds
     invalid poses; the poses are those of a camera; they cannot be matched with the frames, or do
@@ -207,76 +205,26 @@ def _read_file(path: Path) -> _PoseFile:
     rows = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
     if not rows:
         raise BadInputError(f"{path} is empty; it must have one line per pose")
-    has_names = any(letter.isalpha() and letter not in "eEnaifNAIF" for letter in rows[0])
-    found = _from_csv(path, rows) if has_names else _from_numbers(path, rows)
-    _make_rigid(path, found[1])
-    return found
-
-
-def _from_numbers(path: Path, lines: list[str]) -> _PoseFile:
-    words = [line.replace(",", " ").split() for line in lines]
-    if len(words[0]) == len(_PLACE) + 1:
-        table = _numbers(path, words, len(_PLACE) + 1)
-        return _seconds([row[0] for row in words]), from_quaternions(path, table[:, 1:]), False
-    return None, _from_matrices(_numbers(path, words, len(_MATRIX))), True
-
-
-def _from_csv(path: Path, lines: list[str]) -> _PoseFile:
+    words = [row.replace(",", " ").split() for row in rows]
+    width = _TUM if len(words[0]) == _TUM else _KITTI
+    wrong = next((number for number, row in enumerate(words) if len(row) != width), None)
+    if wrong is not None:
+        raise BadInputError(f"pose {wrong} of {path} has {len(words[wrong])} numbers; {width} are required. {_FORMATS}")
     try:
-        head, *rows = ([word.strip() for word in row] for row in csv.reader(lines))
-    except csv.Error as error:
-        raise BadInputError(f"{path} is not CSV: {error}") from error
-    names = [_plain(name) for name in head]
-    wanted = next((kind for kind in (_PLACE, _MATRIX) if set(kind) <= set(names)), None)
-    if wanted is None:
-        raise BadInputError(
-            f"{path} has the columns {', '.join(head)[:300]}; poses need {', '.join(_PLACE)}, or T00, T01 to T23"
-        )
-    table = _numbers(path, rows, len(names))[:, [names.index(name) for name in wanted]]
-    column = names.index("child_frame_id") if "child_frame_id" in names else None
-    children = set() if column is None else {row[column] for row in rows}
-    if len(children) > 1:
-        raise BadInputError(
-            f"{path} holds the poses of several frames ({', '.join(sorted(children))[:200]}); keep the rows of one: "
-            "those of the LiDAR in the fixed frame of the world"
-        )
-    poses = from_quaternions(path, table) if wanted is _PLACE else _from_matrices(table)
-    whole, part = (
-        next((_seconds([row[names.index(name)] for row in rows]) for name in kind if name in names), None)
-        for kind in (_TIME, _NANOSECONDS)
-    )
-    return whole if whole is None or part is None else whole + part * 1e-9, poses, False
-
-
-def _plain(name: str) -> str:
-    """Return the short name of a column: ``field.transform.rotation.x`` is ``qx``."""
-    parts = re.split(r"[./: ]+", name.strip().lower())
-    turned = len(parts) > 1 and parts[-2] in {"rotation", "orientation", "quaternion", "q"} and len(parts[-1]) == 1
-    return f"q{parts[-1]}" if turned else _SYNONYMS.get(parts[-1], parts[-1])
-
-
-def _numbers(path: Path, rows: list[list[str]], width: int) -> NDArray[np.float64]:
-    """Convert text to a table; a word that is not a number (a time, a name) becomes NaN, which no pose may contain."""
-    table = np.full((len(rows), width), np.nan)
-    for number, row in enumerate(rows):
-        if len(row) != width:
-            raise BadInputError(f"pose {number} of {path} has {len(row)} numbers; {width} are required. {_FORMATS}")
-        for column, word in enumerate(row):
-            with suppress(ValueError):
-                table[number, column] = float(word)
-    return table
-
-
-def _from_matrices(table: NDArray[np.float64]) -> NDArray[np.float64]:
-    poses = np.tile(np.eye(4), (len(table), 1, 1))
-    poses[:, :3] = table.reshape(-1, 3, 4)
-    return poses
+        table = np.array(words, np.float64)
+    except ValueError as error:
+        raise BadInputError(f"{path} holds something else than numbers: {error}. {_FORMATS}") from error
+    if width == _TUM:
+        times, poses = _seconds([row[0] for row in words]), from_quaternions(path, table[:, 1:])
+    else:
+        times, poses = None, np.tile(np.eye(4), (len(table), 1, 1))
+        poses[:, :3] = table.reshape(-1, 3, 4)
+    _make_rigid(path, poses)
+    return times, poses, width == _KITTI
 
 
 def _make_rigid(path: Path, poses: NDArray[np.float64]) -> None:
     """Refuse invalid poses; replace each rotation, rounded in the file, by the nearest exact one."""
-    if not len(poses):
-        raise BadInputError(f"{path} holds no poses; it must have one line per pose")
     refuse_poses(path, ~np.isfinite(np.abs(poses).max(axis=(1, 2))), "something that is not a finite number")
     turn = poses[:, :3, :3]
     error = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))

@@ -28,6 +28,7 @@ from bumpymap.core import (
     THIN_POINTS,
     THIN_SEEN,
     FeatureSettings,
+    Floats,
     Reason,
 )
 from bumpymap.readers.point_stats import LineSums, kinds_of, sampled, summed
@@ -36,7 +37,6 @@ from bumpymap.readers.unclassified import UnclassifiedPart, tile_marks
 from bumpytiles import BLOCK_TILES, Bounds, Grid
 
 Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
 Rule = Callable[[NDArray[np.bool_], Ints], NDArray[np.bool_]]
 """Pixels that hold a point, (n, pixels, pixels), and numbers of points, (n,), in; whether a tile can be rated, out."""
 MOST_PIXELS = 1_000_000

@@ -14,6 +14,7 @@ from bumpymap.core import (
     OBSTACLE,
     OPEN_THROUGH,
     Barred,
+    Floats,
     TileField,
     by_mean,
     corners_join,
@@ -24,8 +25,6 @@ from bumpymap.route.search import BYTES_PER_TILE, BYTES_PER_TILE_BY_HEADING, BYT
 from bumpymap.route.settings import CostSettings
 from bumpymap.route.straighten import Costs, as_cost, is_clear
 from bumpytiles import Grid, TileWindow
-
-Floats = NDArray[np.float64]
 
 _STRIP = 256
 """Rows of costs that are computed at once, so that the float64 arrays in between stay small."""

@@ -29,7 +29,7 @@ from bumpymap.core import (
     NORMAL_80,
     OBSTACLE,
     BadInputError,
-    RoadFigures,
+    Floats,
     UsageError,
     interval_log_sd,
     loops,
@@ -60,9 +60,6 @@ from bumpymap.rating import (
 from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.measure import MeasuredWay
 from bumpymap.route.places import in_window
-from bumpymap.route.road_profile import SHORTEST_ROAD_M, bridged, road_figures
-
-Floats = NDArray[np.float64]
 
 _SIGMA_M = 0.3
 """Standard deviation of where a vehicle is across its line by default, m (chosen)."""
@@ -76,8 +73,6 @@ _STRETCH_M, _WINDOW_TILES = 90.0, 1024
 that, and no more than twice those of their own windows (chosen)."""
 _PIECE_M = 2000.0
 """Length that is computed at once, m (chosen)."""
-_EVERY_M = (10.0, 100.0)
-"""Lengths of the stretches of a way, m (chosen, as in road practice)."""
 _TILE_LOG_SD = 1.2
 """Standard deviation of ln C_r of a metre of a line about that of its tile: 0.4 over 10 m. The width that held 80 % of
 simulated drives along such lines was 0.39 on the sample, 0.28 on a real survey."""
@@ -88,8 +83,6 @@ _LEAST = 1e-5
 _BANDS = ("c_r", "c_r_low", "c_r_high", "slope")
 _SIDES = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
 """Ahead and to the left: of the wheels front left, front right, rear left, rear right."""
-_AXLES = ((0, 1), (2, 3))
-"""Wheels of the front and of the rear axle, by their rows there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,30 +115,6 @@ class LineRide:
     """(k,) their probabilities; the sum is 1."""
     c_r_across: Floats
     """(k, n) C_r at each of them, rad/m; NaN where a wheel meets ground that is not known there alone."""
-    track: float
-    """Distance between the wheel paths, m."""
-    way: float
-    """Distance between heights of these along the line, m."""
-    ground: Floats
-    """(2, m) heights of the left and the right path, as the map holds them, m; NaN: unknown."""
-    pixel: float
-    """Side of its pixels, m."""
-
-    def road(self, length: float = 100.0) -> tuple[RoadFigures, ...]:
-        """Return figures of road practice of each stretch of ``length`` m, 10 or more, with C_r and acceleration."""
-        found, whole = road_figures(self.ground, self.way, self.track, length, self.pixel), float(self.distance[-1])
-        parts, ends = np.diff(self.distance), np.array([(one.first, min(one.last, whole)) for one in found])
-        sums = (np.isfinite(self.a_w) * parts, np.nan_to_num(self.a_w) ** 2 * parts)
-        known, shaken = (
-            np.diff(np.interp(ends, self.distance, np.concatenate([[0.0], np.cumsum(each)])))[:, 0] for each in sums
-        )
-        a_w = np.sqrt(np.divide(shaken, known, out=np.full(len(found), np.nan), where=known > 0.0))
-        felt = (self.over(*between) for between in ends.tolist())
-        rides = zip(found, ends[:, 1].tolist(), a_w.tolist(), felt, strict=True)
-        return tuple(
-            replace(one, every=min(one.every, whole), last=last, a_w=shake, c_r=c_r, c_r_low=low, c_r_high=high)
-            for one, last, shake, (c_r, low, high) in rides
-        )
 
     @property
     def pitch_rate(self) -> Floats:
@@ -298,13 +267,9 @@ def with_line_ride(ground: CostGround, way: MeasuredWay, calibration: Path | Non
         return way, []
     found = ride_line(site, way.line, vehicle, _SIGMA_M)
     mean, low, high = found.over(0.0, math.inf)
-    has_road = found.ground.shape[1] * found.way >= SHORTEST_ROAD_M
     metre = np.clip(np.searchsorted(found.distance, way.profile.distance, side="right") - 1, 0, len(found.c_r) - 1)
-    road = found.road(math.inf)[0] if has_road else None
-    figures = replace(way.figures, c_r_line=mean, c_r_line_low=low, c_r_line_high=high, road=road)
-    stretches = tuple(stretch for every in _EVERY_M for stretch in found.road(every)) if has_road else ()
-    profile = replace(way.profile, c_r_line=found.c_r[metre])
-    return replace(way, figures=figures, profile=profile, road=stretches), []
+    figures = replace(way.figures, c_r_line=mean, c_r_line_low=low, c_r_line_high=high)
+    return replace(way, figures=figures, profile=replace(way.profile, c_r_line=found.c_r[metre])), []
 
 
 def ride_line(site: MapReader, line: Floats, vehicle: LineVehicle, sigma: float) -> LineRide:
@@ -317,15 +282,14 @@ def ride_line(site: MapReader, line: Floats, vehicle: LineVehicle, sigma: float)
     count = int(metre[-1]) + 1
     per, lead = int(_PIECE_M / vehicle.way), vehicle.way * np.arange(1, vehicle.reach + 1)
     across, weights = _across(sigma)
-    sums, ground = np.zeros((2 * len(across) + 5, count)), []
+    sums = np.zeros((2 * len(across) + 5, count))
     for first in range(0, len(at), per):
         own, to = at[first : first + per], metre[first : first + per]
         # What is felt depends on the ground before and behind, at the ends of the line too.
         places = np.concatenate([own[0] - lead[::-1], own, own[-1] + lead])
-        heights, touched, beside, tiles = _roll(site, line, places, vehicle, across)
+        heights, touched, tiles = _roll(site, line, places, vehicle, across)
         inside = slice(len(lead), len(lead) + len(own))
         sums += [np.bincount(to, row[inside], count) for row in _felt(heights, touched, tiles, vehicle, weights)]
-        ground.append(beside[..., inside])
     felt, times, (of_tiles, rated, log_sd, seen, shaken) = np.split(sums, [len(across), 2 * len(across)])
     samples = np.bincount(metre)
     known = times > samples / 2
@@ -353,10 +317,6 @@ def ride_line(site: MapReader, line: Floats, vehicle: LineVehicle, sigma: float)
         across=across,
         weights=weights,
         c_r_across=np.where(share > 0.0, with_floor(at_places, floor), np.nan),
-        track=vehicle.operator.track,
-        way=vehicle.way,
-        ground=np.concatenate(ground, axis=-1),
-        pixel=site.grid.pixel_size,
     )
 
 
@@ -412,15 +372,12 @@ class _LineWindow(NamedTuple):
 
 def _roll(
     site: MapReader, line: Floats, at: Floats, vehicle: LineVehicle, across: Floats
-) -> tuple[Floats, Floats, Floats, _Tiles]:
+) -> tuple[Floats, Floats, _Tiles]:
     """Roll the wheels over n samples along a line.
 
     Returns (places across, 4, n) lowest point of each wheel, m, without the jumps of their turns, NaN where unknown;
-    (n,) share of the pixels under the wheels that hold points; `LineRide.ground`; the tiles in which the middle of the
-    vehicle is.
+    (n,) share of the pixels under the wheels that hold points; the tiles in which the middle of the vehicle is.
     """
-    from scipy.ndimage import map_coordinates
-
     pixels, parts = site.grid.pixels, _parts(site, line, at, max(int(_STRETCH_M / vehicle.way), 1))
     windows = [_read(site, *_places(line, part, vehicle.operator, across), vehicle) for part in parts]
     boxes = [
@@ -433,17 +390,14 @@ def _roll(
     rolled, first, turn = [], 0, None
     for box, window in zip(boxes, windows, strict=True):
         here = slice(first, first + window.bands.shape[1])
-        front, rear = (window.wheels.reshape(len(across), 4, -1, 2)[len(across) // 2, axle] for axle in _AXLES)
-        paths = np.moveaxis((front + rear) / 2, -1, 0) - 0.5
-        ground = map_coordinates(window.heights, paths, order=1, mode="nearest")
         box[window.touched] += added[here]
         before = np.column_stack([window.turn[:, :1] if turn is None else turn[:, -1:], window.turn[:, :-1]])
         turn = window.turn
         low, jump = roll_wheels(window.heights, window.wheels, turn, before, vehicle.operator)
-        rolled.append((low, jump, window.seen, ground, *(values[here][window.tile] for values in tiles)))
+        rolled.append((low, jump, window.seen, *(values[here][window.tile] for values in tiles)))
         first = here.stop
-    low, jump, seen, ground, *columns = (np.concatenate(parts, axis=-1) for parts in zip(*rolled, strict=True))
-    return (low - np.cumsum(jump, axis=1)).reshape(len(across), 4, -1), seen, ground, _Tiles(*columns)
+    low, jump, seen, *columns = (np.concatenate(parts, axis=-1) for parts in zip(*rolled, strict=True))
+    return (low - np.cumsum(jump, axis=1)).reshape(len(across), 4, -1), seen, _Tiles(*columns)
 
 
 def _parts(site: MapReader, line: Floats, at: Floats, per: int) -> list[Floats]:
@@ -559,11 +513,11 @@ def _felt(heights: Floats, seen: Floats, tile: _Tiles, vehicle: LineVehicle, wei
     pitches = (front_left + front_right - rear_left - rear_right) / (2 * vehicle.operator.wheelbase)
     is_felt = np.isfinite(pitches) & np.isfinite(tile.c_r) & np.isfinite(tile.reach)
     reach, slope, stretch = np.nan_to_num(tile.reach), np.nan_to_num(tile.slope), calibration.tile_size
-    felt = felt_along(bridged(pitches), vehicle.taps, vehicle.way, stretch, reach, slope, vehicle.correction)
+    felt = felt_along(_bridged(pitches), vehicle.taps, vehicle.way, stretch, reach, slope, vehicle.correction)
     shaken = np.full_like(tile.c_r, np.nan)
     if vehicle.rating is not None:
         taps, _ = heave_filter(vehicle.speed, vehicle.way)
-        lifts = np.pad(bridged(heights.mean(axis=1)), ((0, 0), (len(taps) // 2,) * 2), mode="edge")
+        lifts = np.pad(_bridged(heights.mean(axis=1)), ((0, 0), (len(taps) // 2,) * 2), mode="edge")
         known = is_felt & (tile.heave > 0)
         heaves = np.abs([np.convolve(lift, taps, "valid") for lift in lifts])
         share = np.where(known, heaves / np.where(known, tile.heave, 1.0), 1.0)
@@ -572,3 +526,13 @@ def _felt(heights: Floats, seen: Floats, tile: _Tiles, vehicle: LineVehicle, wei
     rated = np.isfinite(tile.log_sd)
     log_sd = np.where(rated, tile.log_sd, 0.0)
     return np.vstack([c_r, is_felt, tile.speed * tile.c_r, rated, log_sd, seen, shaken])
+
+
+def _bridged(lines: Floats) -> Floats:
+    """Interpolate over the unknown samples of each line, (k, n); 0 if none is known."""
+    at, found = np.arange(lines.shape[1]), np.zeros_like(lines)
+    for line, values in zip(found, lines, strict=True):
+        known = np.isfinite(values)
+        if known.any():
+            line[:] = np.interp(at, at[known], values[known])
+    return found

@@ -16,7 +16,7 @@ from bumpymap.core import (
     NO_TILE,
     SEEN_COLUMNS,
     Barred,
-    RoadFigures,
+    Floats,
     RouteFigures,
     RouteProfile,
     SeenSizes,
@@ -32,8 +32,6 @@ from bumpymap.route.ground import TOUCHING, CostGround, points_along, sample_lin
 from bumpymap.route.places import in_window
 from bumpymap.route.stops import place_text
 from bumpymap.route.straighten import as_costs, trace
-
-Floats = NDArray[np.float64]
 
 _STRETCH_TILES = 128
 """Longest stretch of a way whose window is read at once, tiles (chosen)."""
@@ -52,8 +50,6 @@ class MeasuredWay:
     """(m, 2) easting and northing of its corners, m."""
     figures: RouteFigures
     profile: RouteProfile
-    road: tuple[RoadFigures, ...] = ()
-    """As in `Route`."""
 
 
 _Pieces: TypeAlias = dict[str, NDArray[Any]]

@@ -6,10 +6,9 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-from bumpymap.core import BARRED_TEXT, OBSTACLE, Barred, density_for
+from bumpymap.core import BARRED_TEXT, OBSTACLE, Barred, Floats, density_for
 from bumpymap.layers import STEP_LINE
 from bumpymap.route.ground import PIXEL_MARGIN, CostGround, window_around
 from bumpymap.route.passages import BYTES_PER_TILE, first_pad
@@ -20,7 +19,6 @@ from bumpymap.route.stops import place_text
 from bumpymap.views import area
 from bumpytiles import TileWindow
 
-Floats = NDArray[np.float64]
 _LEAST_OPENING, _TOO_NARROW = 1.5, 100.0
 """Least distance from what closes an opening, pixels: what is narrower is a gap between points. And cost of a pixel in
 which the vehicle does not fit, so that a line leads through few of them (chosen)."""

@@ -27,26 +27,24 @@ from bumpymap.layers import (
     route_properties,
     software_versions,
     stop_names,
-    stretch_rows,
     window_around,
     write_gpx,
     write_isochrones,
     write_profile,
     write_reach,
     write_route_geojson,
-    write_route_stretches,
 )
-from bumpymap.views import reach_layers, route_layers, view_writers, write_reach_picture, write_route_picture
+from bumpymap.views import reach_layers, route_layers, view_writers
 
 _log = logging.getLogger(__name__)
 
 ROUTE_MANIFEST_NAME = "route.json"
-ROUTE_KINDS = {".geojson": "route.geojson", ".gpx": "route.gpx", ".csv": "profile.csv", ".png": "route.png"}
-REACH_KINDS = {".tif": "reach.tif", ".geojson": "isochrones.geojson", ".png": "reach.png"}
+ROUTE_KINDS = {".geojson": "route.geojson", ".gpx": "route.gpx", ".csv": "profile.csv"}
+REACH_KINDS = {".tif": "reach.tif", ".geojson": "isochrones.geojson"}
 """Name of the file that is written alone, by its suffix."""
 _VIEWS = ("route.qml", "reach.qml", "isochrones.qml", MapFile.PROJECT)
 ROUTE_FILES = OutputFolder(
-    (*ROUTE_KINDS.values(), "stretches.csv", *REACH_KINDS.values(), *_VIEWS, ROUTE_MANIFEST_NAME),
+    (*ROUTE_KINDS.values(), *REACH_KINDS.values(), *_VIEWS, ROUTE_MANIFEST_NAME),
     ROUTE_MANIFEST_NAME,
     views=_VIEWS,
 )
@@ -83,14 +81,13 @@ def check_out(out: Path, kinds: Mapping[str, str], *, overwrite: bool) -> str | 
 def write_route(
     route: Route, source: MapReader, out: Path, *, manifest: Mapping[str, Any], overwrite: bool = False
 ) -> list[Path]:
-    """Write route.geojson, route.gpx, profile.csv, route.png, route.json and a project of QGIS to a folder.
+    """Write route.geojson, route.gpx, profile.csv, route.json and a project of QGIS to a folder.
 
-    ``out`` may be a file instead, for one of the first four.
+    ``out`` may be a file instead, for one of the first three.
 
     All files appear or none; links are replaced, never followed. Files of an earlier run that this one does not write
-    are removed. Without longitude and latitude route.gpx is left out, and route.json says so. A way whose stretches
-    have figures has stretches.csv too. Except for route.json no file depends on the time, and none but it and map.qgs
-    on folder names.
+    are removed. Without longitude and latitude route.gpx is left out, and route.json says so. Except for route.json no
+    file depends on the time, and none but it and map.qgs on folder names.
 
     ``source``: the map that it was planned on; ``manifest``: the run's own entries for route.json, such as settings.
     Returns what was written, the manifest last. Raises UsageError, OutputError: see `check_out`; or a file cannot be
@@ -103,10 +100,7 @@ def write_route(
         "route.geojson": partial(write_route_geojson, route),
         "route.gpx": partial(write_gpx, route),
         "profile.csv": partial(write_profile, route),
-        "route.png": partial(write_route_picture, route, source),
     }
-    if route.road:
-        writers["stretches.csv"] = partial(write_route_stretches, route)
     if not place.has_degrees and one_file is None:
         del writers["route.gpx"]
         notes = ["route.gpx was not written: the layers have no CRS, so longitude and latitude are unknown"]
@@ -121,25 +115,20 @@ def write_route(
 def write_reach_files(
     reach: ReachField,
     source: MapReader,
-    start: NDArray[np.float64],
     out: Path,
     *,
     levels: Sequence[float] = (),
     manifest: Mapping[str, Any],
     overwrite: bool = False,
 ) -> list[Path]:
-    """Write reach.tif, reach.png, isochrones.geojson (with levels), route.json and a project of QGIS to a folder.
+    """Write reach.tif, isochrones.geojson (with levels), route.json and a project of QGIS to a folder.
 
-    ``start`` (2,): easting and northing, m. ``out`` may be one file instead, .tif for the raster, .png for the picture
-    or .geojson for the isochrones; ``levels`` of these: minutes. For the other parameters, the result and errors see
-    `write_route`.
+    ``out`` may be one file instead, .tif for the raster or .geojson for the isochrones; ``levels`` of these: minutes.
+    For the other parameters, the result and errors see `write_route`.
     """
     one_file = check_out(out, REACH_KINDS, overwrite=overwrite)
     about = {"vehicle": source.vehicle.name}
-    writers: dict[str, Callable[[Path], None]] = {
-        "reach.tif": partial(write_reach, reach, about=about),
-        "reach.png": partial(write_reach_picture, reach, source, start, levels=levels),
-    }
+    writers: dict[str, Callable[[Path], None]] = {"reach.tif": partial(write_reach, reach, about=about)}
     if levels:
         writers["isochrones.geojson"] = partial(write_isochrones, reach, levels, about=about)
     if one_file is None:
@@ -181,7 +170,6 @@ def _describe(route: Route, place: GeoJsonCoordinates) -> dict[str, Any]:
         **route_properties(route),
         "stops": [{"name": name, **spot} for name, spot in zip(names, _spots(route.stops, place), strict=True)],
         "corners": len(route.line),
-        "stretches": stretch_rows(route),
         "straight": None if route.straight is None else _describe_straight(route.straight, place),
     }
 

@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
-from bumpymap.core import axis_values, slope_cost
+from bumpymap.core import Floats, axis_values, slope_cost
 from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.places import on_grid, overlap
 from bumpymap.route.straighten import as_cost
 from bumpytiles import TileWindow
-
-Floats = NDArray[np.float64]
 
 _PAD_TILES, _PAD_SHARE = 24, 0.25
 """Tiles around start and goal that are read first: at least, and as a share of their distance (chosen)."""

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from bumpymap.core import (
     BadInputError,
     Progress,
+    Route,
     SilentProgress,
     UsageError,
     memory_limit,
@@ -28,7 +29,7 @@ from bumpymap.core import (
     settings_of_call,
     short_repr,
 )
-from bumpymap.layers import PlannedRoute, open_map, read_areas
+from bumpymap.layers import open_map, read_areas
 from bumpymap.route.ground import CostGround
 from bumpymap.route.line_ride import with_line_ride
 from bumpymap.route.measure import measure_straight_line
@@ -121,7 +122,7 @@ def find_routes(
     via: Iterable[Point] = (),
     out: PathLike | None = None,
     **settings: Unpack[RouteSettings],
-) -> list[PlannedRoute]:
+) -> list[Route]:
     """Find the cheapest way over mapped ground.
 
     Parameters
@@ -133,7 +134,7 @@ def find_routes(
     via : points, optional
         Points to pass on the way.
     out : path, optional
-        Folder, or file that ends in .geojson, .gpx, .csv or .png.
+        Folder, or file that ends in .geojson, .gpx or .csv.
     **settings
         Those of ``bumpymap route``, with underscores: ``by`` (``cost`` or ``time``), ``risk`` [m],
         ``robust``, ``direction``, ``climb``, ``descent``, ``side_slope`` [m], ``side_limit`` [deg], ``unknown`` [cost
@@ -142,7 +143,7 @@ def find_routes(
 
     Returns
     -------
-    list of PlannedRoute
+    list of Route
         The way.
 
     Raises
@@ -227,14 +228,12 @@ def _text(name: str, point: Point) -> str:
 
 _log = logging.getLogger(__name__)
 
-Floats = NDArray[np.float64]
-
 
 @dataclass(frozen=True, slots=True)
 class RouteResult:
     """Result of a route run."""
 
-    route: PlannedRoute | None
+    route: Route | None
     """The way; None if there was no goal."""
     reach: "Reach | None"
     """The part of the map that can be reached, if there was no goal."""
@@ -285,7 +284,7 @@ def _opened(config: RouteConfig) -> Iterator[CostGround]:
         yield replace(ground, memory_tiles=min(memory_limit(config.memory) // ground.bytes_per_tile, MOST_TILES))
 
 
-def _route(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[PlannedRoute, list[str]]:
+def _route(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[Route, list[str]]:
     """Plan the cheapest way through the stops; return it and remarks."""
     planner = Planner(ground)
     if config.visit:
@@ -310,7 +309,7 @@ def _route(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[Plann
     if config.visit:
         remarks = [f"order of the points: {'; '.join(stops.names)}", *remarks]
     site = ground.site
-    route = PlannedRoute(
+    route = Route(
         name="route",
         georeference=site.georeference,
         grid=site.grid,
@@ -321,7 +320,6 @@ def _route(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[Plann
         vehicle=site.vehicle,
         risk_m=ground.risk_m,
         straight=measure_straight_line(ground, points, way.figures),
-        road=way.road,
     )
     return route, remarks
 
@@ -366,7 +364,6 @@ def _write_reach(ground: CostGround, stops: Stops, config: RouteConfig, out: Pat
     files = write_reach_files(
         found,
         ground.site,
-        stops.points[0],
         out,
         levels=config.isochrones,
         manifest={"settings": asdict(config), "start": stops.points[0], "remarks": notes},

@@ -18,14 +18,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CLOSED_IN_PART, UsageError
+from bumpymap.core import CLOSED_IN_PART, Floats, UsageError
 from bumpymap.route.ground import CostGround, sample_line, window_around
 from bumpymap.route.measure import MeasuredWay, measure_way, way_cost
 from bumpymap.route.places import on_grid, overlap, place_in_window
 from bumpymap.route.search import REACH, Found, seek, settle_point, tight_way
 from bumpytiles import TileWindow
-
-Floats = NDArray[np.float64]
 
 _LEAST_PAD, _PAD_SHARE = 16, 0.125
 """Margin around start and goal: at least, tiles, by which a window grows at least too, and as a share of their distance

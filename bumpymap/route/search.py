@@ -29,7 +29,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import AXES_DEG, axes_along, loops
+from bumpymap.core import AXES_DEG, Floats, axes_along, loops
 from bumpymap.route.straighten import (
     LEAST_SAVING,
     Costs,
@@ -43,7 +43,6 @@ from bumpymap.route.straighten import (
     wide_margin,
 )
 
-Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 FROM_START = 254

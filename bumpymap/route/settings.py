@@ -31,8 +31,8 @@ class CostSettings(DirectionSettings):
         ),
     ] = None
     """m; tiles whose ``smallest_object`` is more are closed, as are those of which that is not known; None: none is."""
-    avoid: Annotated[Path | None, Setting("Polygons that are not entered", "FILE", group="Ground")] = None
-    only: Annotated[Path | None, Setting("Polygons that are not left", "FILE", group="Ground")] = None
+    avoid: Annotated[Path | None, Setting("Polygons that are not entered (GeoJSON)", "FILE", group="Ground")] = None
+    only: Annotated[Path | None, Setting("Polygons that are not left (GeoJSON)", "FILE", group="Ground")] = None
     allow_outside: Annotated[bool, Setting("It is no error if a polygon lies off the map", rare=True)] = False
     through_obstacles: Annotated[bool, Setting("Touch obstacles where there is no other way", group="Ground")] = False
     """For those that the map takes for solid and the driver does not."""
@@ -66,9 +66,7 @@ class RouteConfig:
             "Outlines of what is reached within these minutes", "LIST", 0.0, unit="minutes", exclusive=True, group="Way"
         ),
     ] = ()
-    out: Annotated[Path | None, Setting("Folder, or a .geojson, .gpx, .csv or .png file", "PATH", group="Output")] = (
-        None
-    )
+    out: Annotated[Path | None, Setting("Folder, or a .geojson, .gpx or .csv file", "PATH", group="Output")] = None
     """Folder, or file of a format that its suffix names; None: only the summary."""
     overwrite: Annotated[bool, Setting("Replace the files of an earlier run", group="Output")] = False
     memory: Annotated[str, Setting("Memory of the search", "SIZE", default="a quarter of what is free", rare=True)] = (

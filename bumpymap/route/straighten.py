@@ -21,9 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import AXES_DEG, TracedLine, loops
+from bumpymap.core import AXES_DEG, Floats, TracedLine, loops
 
-Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 

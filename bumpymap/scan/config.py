@@ -19,7 +19,7 @@ from bumpymap.core import (
 if TYPE_CHECKING:
     from bumpymap.readers import BagTopics
 
-ScanProduct = Literal["polygons", "table", "cloud"]
+ScanProduct = Literal["table", "cloud"]
 SCAN_PRODUCTS: tuple[ScanProduct, ...] = get_args(ScanProduct)
 
 

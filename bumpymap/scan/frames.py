@@ -161,7 +161,7 @@ class FrameWork:
             arrays |= place_points(frame.name, scan.points, is_ground, frame.pose, self.offset)
         if self.config.bag is not None:
             arrays |= see_cells(scan.points, classed, self.config.grid, frame.pose)._asdict()
-        write_frame(frame.name, scan, classed, files)
+        write_frame(scan, classed, files)
         if "picture" in frame_products(self.config, number):
             write_picture(scan, classed, files[-1], self.config.range_m)
         rows = sector_rows(frame.name, classed) if "table" in self.config.products else None

@@ -33,11 +33,7 @@ from .page.map_page import (
 from .page.site import (
     page_header as page_header,
 )
-from .pictures.route_picture import (
-    write_reach_picture as write_reach_picture,
-    write_route_picture as write_route_picture,
-)
-from .pictures.scan_picture import (
+from .scan_picture import (
     write_picture as write_picture,
 )
 from .space import (

@@ -13,12 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from bumpymap.core import OBSTACLE, UsageError, atomic, install_command
-from bumpymap.layers import OBJECT_COLOURS, ROUTE_COLOUR, MapReader, open_map
+from bumpymap.core import CROSSING_UNKNOWN, NO_TILE, OBSTACLE, OPEN_THROUGH, Floats, UsageError, atomic, install_command
+from bumpymap.layers import (
+    CLOSED_COLOUR,
+    MID_GREY,
+    OBJECT_COLOURS,
+    ROUTE_COLOUR,
+    STEP_LINE,
+    UNKNOWN_COLOUR,
+    MapReader,
+    RideScale,
+    box_sum,
+    first_island,
+    on_islands,
+    open_map,
+)
+from bumpymap.views.light import LEVEL, grey_of, hard_light, levelled, light_of
 from bumpymap.views.page.site import read_ways
-from bumpymap.views.pictures.drawing import MapView, fill_gaps, paint_ground
 
-Floats = NDArray[np.float64]
 Numbers = NDArray[np.floating[Any]]
 
 _MOST_SIDE = 900
@@ -29,6 +41,14 @@ _SIZE = (1800, 1200)
 """Width and height of a window, px, and of a picture before its empty edges are cut off."""
 _MARGIN, _WHITE = 24, 250
 """Empty edge that is left, px, and the least brightness of empty pixels."""
+NO_DATA = (255, 255, 255)
+"""Colour of ground without points."""
+STRIP_TILES = 4_000_000
+"""Most tiles to read at a time."""
+_SHADE = 0.35
+"""Share of the relief in the light of a photo: chosen."""
+_GAPS = (1, 3, 7)
+"""Half widths of the boxes from which holes in the relief are filled, pixels."""
 _ABOVE_M = 0.4
 """Height of ways above the ground, m."""
 _VIEW_DEG, _TILT = 50.0, 0.9
@@ -123,8 +143,7 @@ def space_of(reader: MapReader, route: Path | None = None) -> Space:
     wide, high = bounds.east - bounds.west, bounds.north - bounds.south
     metres = max(grid.pixel_size, max(wide, high) / _MOST_SIDE)
     cols, rows = (max(2, round(side / metres)) for side in (wide, high))
-    view = MapView(grid, bounds.west, bounds.north, metres, cols, rows)
-    heights = fill_gaps(reader.relief(reader.window, (rows, cols)).astype(np.float64))
+    heights = _filled(reader.relief(reader.window, (rows, cols)).astype(np.float64))
     known = np.isfinite(heights)
     middle = np.array([(bounds.west + bounds.east) / 2, (bounds.south + bounds.north) / 2, np.mean(heights[known])])
     filled = heights[tuple(distance_transform_edt(~known, return_distances=False, return_indices=True))]
@@ -138,16 +157,78 @@ def space_of(reader: MapReader, route: Path | None = None) -> Space:
     a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]
     whole = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
     triangles = np.concatenate([np.stack([a, c, b], -1)[whole], np.stack([b, c, d], -1)[whole]]).astype(np.int32)
-    x, y = (axis.ravel() for axis in np.meshgrid(view.eastings, view.northings))
+    east = bounds.west + (np.arange(cols) + 0.5) * wide / cols
+    north = bounds.north - (np.arange(rows) + 0.5) * high / rows
+    x, y = (axis.ravel() for axis in np.meshgrid(east, north))
     vertices = np.column_stack([x, y, filled.ravel()]) - middle
     ways = () if route is None else chain.from_iterable(way.lines for way in read_ways(route, reader.manifest))
     return Space(
         vertices,
-        paint_ground(reader, view)[0].reshape(-1, 3) / 255.0,
+        painted(reader, heights).reshape(-1, 3) / 255.0,
         triangles,
         _obstacles(reader, placed),
         tuple(placed(line[:, 0], line[:, 1], _ABOVE_M) for line in (_dense(line, metres) for line in ways)),
     )
+
+
+def painted(reader: MapReader, heights: Floats) -> Floats:
+    """Return the colours of a map, (rows, cols, 3) from 0 to 255: what can be driven by its ride cost, the rest muted.
+
+    ``heights`` (rows, cols): m, of pixels that span the map, for their shade.
+    """
+    shape, window, size = heights.shape, reader.window, reader.grid.tile_size
+    barred, c_r, island = _sampled(reader, shape)
+    passable = np.isin(barred, OPEN_THROUGH) & np.isfinite(c_r) & reader.passage(window, shape)
+    unknown = ~passable & np.isin(barred, CROSSING_UNKNOWN)
+    obstacle = np.isin(reader.objects(window, shape), (OBSTACLE, STEP_LINE)) & ~unknown
+    colour = RideScale.of(reader.manifest).colours(np.where(passable, c_r, 0.0))
+    colour[island] = on_islands(colour[island])
+    colour[~passable] = CLOSED_COLOUR[:3]
+    colour[unknown] = UNKNOWN_COLOUR[:3]
+    colour[obstacle] = OBJECT_COLOURS[OBSTACLE][:3]
+    shade = light_of(heights, (window.rows * size / shape[0], window.cols * size / shape[1]))[..., None] / LEVEL
+    light = MID_GREY * shade
+    if (photo := reader.photo(window, shape)) is not None:
+        seen = levelled(photo)
+        seen = np.where((passable & ~obstacle & ~island)[..., None], seen, grey_of(seen))
+        light = np.where(np.isfinite(seen), seen * (1 - _SHADE + _SHADE * shade), light)
+    colour = hard_light(colour, np.clip(light, 0, 255))
+    colour[barred == NO_TILE] = NO_DATA
+    return np.rint(np.clip(colour, 0, 255))
+
+
+def _sampled(
+    reader: MapReader, shape: tuple[int, int]
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]]:
+    """Return what bars the tile in the middle of each pixel, of ``shape``, its ride cost, and if it is an island."""
+    window, first = reader.window, first_island(reader.manifest)
+    line, col = (
+        ((np.arange(count) + 0.5) * tiles / count).astype(np.int64)
+        for count, tiles in zip(shape, (window.rows, window.cols), strict=True)
+    )
+    barred, c_r, island = np.empty(shape, np.uint8), np.empty(shape, np.float32), np.zeros(shape, np.bool_)
+    for top, part in window.cut(max(1, STRIP_TILES // window.cols)):
+        rows = (line >= top) & (line < top + part.rows)
+        field, place = reader.read(part, ("c_r",)), np.ix_(line[rows] - top, col)
+        barred[rows], c_r[rows] = field.barred[place], field.c_r[place]
+        if first is not None:
+            island[rows] = reader.values(part, ("zone",))["zone"][place] >= first
+    return barred, c_r, island
+
+
+def _filled(heights: Floats) -> Floats:
+    """Fill holes with the mean of the heights around them; NaN stays where nothing is near."""
+    for half in _GAPS:
+        known = np.isfinite(heights)
+        if known.all() or not known.any():
+            break
+        base = float(heights[known].mean())  # sums of small numbers lose no digits
+        count = box_sum(known.astype(np.float64), half)
+        total = box_sum(np.where(known, heights - base, 0.0), half)
+        near = ~known & (count > 0.5)
+        heights = heights.copy()
+        heights[near] = total[near] / count[near] + base
+    return heights
 
 
 def _dense(line: Floats, metres: float) -> Floats:

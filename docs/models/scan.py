@@ -1,4 +1,4 @@
-"""Make bumpymap/scan/data/models/scan.onnx and its card anew.
+"""Make bumpymap/scan/data/models/scan.onnx anew, and print the scores that its card holds.
 
     python docs/models/scan.py [--scenes 440] [--out FILE]
 
@@ -16,14 +16,12 @@ import numpy as np
 from bumpymap.lab.settings import ScanTrainSettings
 from bumpymap.lab.train.model_files import training_files, write_model
 from bumpymap.lab.train.scan_net import (
-    DATA,
     Sectors,
     draw_cuts,
     evaluate,
     join,
     labelled_sectors,
     metadata_of,
-    model_card,
     to_onnx,
     train,
 )
@@ -35,21 +33,6 @@ from scan_scenes.scene import make_scene
 
 UNSEEN, UNSEEN_SCENES = 1_000_000, 110
 """Number of the first scene that is never used in training, and of the scenes in the scores: ten of every theme."""
-DESCRIBED = """{scenes} synthetic scenes with labels (`tests/worlds/scan_scenes`), each scanned once by a
-different sensor: 16 to 128 lines, evenly spaced or closer near the horizon, or a solid-state pattern of 60 to 360
-degrees; 0.4 to 2.1 m above the ground, upright or leaning by up to 15 degrees, with range noise of 0.8 to 3 cm, 0.1 to
-5 % of lost returns, stray returns and mirror images below wet ground. No real scan was used. The ground of every tenth
-scene is sampled once more from above, without shadows and with blocks piled on half of it.
-Unseen scenes have other numbers of the same seed.
-"""
-LIMITS = """\
-- The accuracy is measured on *synthetic* scenes. The network has not seen anything that the simulator lacks (snow,
-  crops, rain, moving objects, reflections in water).
-- Mud and water are distinguished from dirt by ruts, churned ground and missing returns: mud as flat as dry dirt is
-  classified as dirt, and so is a puddle of which only the margin returns light.
-- Natural ground is simulated with roots, clods and tussocks of 3 to 40 mm (standard deviation) and herbs up to 40 cm.
-  Rougher ground is classified as class 1, whatever grows there.
-"""
 
 
 def simulated_sectors(seed: int, scenes: range, turns: int = 0) -> list[Sectors]:
@@ -84,10 +67,7 @@ def main() -> None:
         unseen = join(simulated_sectors(given.seed, range(UNSEEN, UNSEEN + given.unseen)))
         net = train(settings, sectors, checkpoint, print)
         scores = evaluate(net, unseen, given.unseen)
-        content = to_onnx(net, metadata_of(settings, scores, command))
-        card = model_card(settings, scores, sectors, command, len(content))
-        card = card.replace(DATA, DESCRIBED.format(scenes=given.scenes)) + LIMITS
-        write_model(given.out, content, card, checkpoint)
+        write_model(given.out, to_onnx(net, metadata_of(settings, scores, command)), checkpoint)
     print(scores)
 
 

@@ -30,8 +30,8 @@ def draw(survey: Path, crs: str, ends: tuple[str, str], frame: Path, pictures: P
         save(Image.open(hero), pictures / "front.png", HERO_PX)
         save(on_both_screens(layers / "report.html"), pictures / "front_report.png", SMALL_PX)
         save(Image.open(next(scan.glob("frames/*.png"))), pictures / "front_scan.png", SMALL_PX)
-        profile = Image.open(way / "route.png")
-        save(profile.crop((0, profile.height - 400, 1230, profile.height)), pictures / "front_route.png", SMALL_PX)
+        take(layers / "report.html", (1200, 790), way / "shot.png")
+        save(Image.open(way / "shot.png").crop((0, 580, 1200, 790)), pictures / "front_route.png", SMALL_PX)
 
 
 def run(*words: object) -> None:

@@ -1,4 +1,4 @@
-"""Draw report_page.png, the page of the sample survey, and index_page.png, that of a batch of four surveys.
+"""Draw index_page.png, of a batch, and report_page.png and route_quarry.png, of the sample without and with a way.
 
 .venv/bin/python docs/pictures/pages.py docs/pages/img
 
@@ -23,6 +23,8 @@ SIZE = 1280, 1400
 """Width and height of the browser's window for a batch, pixels; empty rows at the end are cut off."""
 REPORT_SIZE = 1200, 800
 """The same for a map: the first screen of its page."""
+ENDS = (512350.5, 5403300.5), (512450.5, 5403228.5)
+"""Start and goal of the way on the sample, in its CRS."""
 SIDE = 90.0
 """Side of a made-up site, m."""
 
@@ -56,6 +58,9 @@ def draw(pictures: Path) -> None:
         page.write_text(page.read_text(encoding="utf-8").replace(f"{scratch}/", ""), encoding="utf-8")  # where it ran
         take(page, SIZE, pictures / "index_page.png")
         take(night / SAMPLE.stem / "report.html", REPORT_SIZE, pictures / "report_page.png")
+        layers, way = bumpymap.open(night / SAMPLE.stem), Path(scratch) / "way"
+        bumpymap.find_routes(layers, *ENDS, out=way)
+        take(layers.report(route=way), REPORT_SIZE, pictures / "route_quarry.png")
 
 
 def take(page: Path, size: tuple[int, int], picture: Path) -> None:

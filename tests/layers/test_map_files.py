@@ -2,11 +2,9 @@
 
 import json
 import os
-import sqlite3
 import threading
-from contextlib import closing, nullcontext
+from contextlib import nullcontext
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ import rasterio
 import shapely
 from cost_maps import make_field
 from made_drives import MadeDrive, log_of, write_table
-from pyogrio.raw import write
 from pyproj import CRS
 from route_maps import bare_map, copy_folder, list_anew, write_folder
 
@@ -22,7 +19,7 @@ from bumpymap.api import open_layers
 from bumpymap.change import diff_surveys
 from bumpymap.check import check_drives
 from bumpymap.core import BadInputError
-from bumpymap.layers import map_files, open_map, read_areas, read_points
+from bumpymap.layers import open_map, read_areas, read_points
 from bumpymap.views import ExportSettings, export_map, write_report
 from bumpytiles import Grid
 
@@ -208,7 +205,7 @@ def test_a_large_raster_is_held_against_its_checksum_when_it_is_read(one, tmp_pa
             read()
 
 
-@pytest.mark.parametrize("suffix", [".geojson", ".gpx", ".gpkg", ".fgb", ".shp"])
+@pytest.mark.parametrize("suffix", [".geojson", ".gpx"])
 @pytest.mark.parametrize("read", [read_points, lambda path: read_areas(path, bare_map())])
 def test_a_vector_file_leads_nowhere_else(server, tmp_path, suffix, read):
     url, asked = server
@@ -225,63 +222,3 @@ def test_a_vector_file_leads_nowhere_else(server, tmp_path, suffix, read):
         with pytest.raises(BadInputError):
             read(path)
     assert not asked
-
-
-@pytest.mark.parametrize("start", [b"", b"fgb\3", b"fgb\3fgb\1\0\1\0\0"])
-@pytest.mark.parametrize("text", [OGR_VRT, "<OGRWFSDataSource><URL>http://{0}/wfs</URL></OGRWFSDataSource>"])
-def test_a_vector_file_that_is_another_format_too_is_read_as_its_own(one, server, tmp_path, start, text):
-    """GDAL would take what follows the first bytes for instructions."""
-    folder = copy_folder(one, tmp_path / "map")
-    (folder / "cost.fgb").write_bytes(start + text.format(f"{server[0]}/{tmp_path.name}").encode())
-    list_anew(folder)
-    for read in (open_layers(folder).regions, lambda: read_areas(folder / "cost.fgb", bare_map())):
-        with pytest.raises(BadInputError, match=r"cost\.fgb"):
-            read()
-    assert not server[1]
-
-
-def write_areas(path):
-    """Write one area that covers `bare_map`."""
-    bounds = bare_map().grid.window_bounds(bare_map().window)
-    wkb = shapely.to_wkb(np.array([shapely.box(bounds.west, bounds.south, bounds.east, bounds.north)], object))
-    write(path, wkb, [np.array(["x"], object)], np.array(["name"]), geometry_type="Polygon", crs="EPSG:32614")
-    return path
-
-
-@pytest.mark.parametrize(
-    "computed",
-    [
-        "VIEW v AS WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT x AS fid, geom FROM c, a",
-        "VIRTUAL TABLE v USING VirtualText('{}', 'UTF-8', 1, POINT, DOUBLEQUOTE, ',')",
-        "/* */ VIRTUAL TABLE v USING rtree(id, a, b)",
-    ],
-)
-def test_a_geopackage_that_computes_what_it_holds_is_refused(tmp_path, computed):
-    """It may do so without end, or from other files."""
-    path = write_areas(tmp_path / "a.gpkg")
-    with closing(sqlite3.connect(path)) as database, database:
-        database.execute("PRAGMA writable_schema = ON")
-        text = f"CREATE {computed.format(tmp_path / 'secret.csv')}"
-        kind = "view" if computed.startswith("VIEW") else "table"
-        database.execute("INSERT INTO sqlite_master VALUES (?, 'v', 'v', 0, ?)", [kind, text])
-        database.execute("INSERT INTO gpkg_contents(table_name, data_type) VALUES ('v', 'features')")
-        database.execute("INSERT INTO gpkg_geometry_columns VALUES ('v', 'geom', 'POLYGON', 32614, 0, 0)")
-    with pytest.raises(BadInputError, match=r"a\.gpkg: its part 'v' is computed when it is read"):
-        read_areas(path, bare_map())
-
-
-def test_a_vector_file_is_read_in_limited_time(tmp_path, monkeypatch):
-    monkeypatch.setattr(map_files, "SECONDS", 0.01)
-    monkeypatch.setattr(map_files, "SECONDS_PER_BYTE", 0.0)
-    with pytest.raises(BadInputError, match=r"a\.gpkg: the decoder did not finish"):
-        read_areas(write_areas(tmp_path / "a.gpkg"), bare_map())
-
-
-@pytest.mark.parametrize("pipe", ["proj.ini", "proj.db", "a.dbf"])
-def test_pipes_around_a_vector_file_are_not_waited_for(tmp_path, monkeypatch, pipe):
-    monkeypatch.chdir(tmp_path)
-    path = write_areas(Path("a.shp") if pipe == "a.dbf" else Path("a.gpkg"))
-    Path(pipe).unlink(missing_ok=True)
-    os.mkfifo(pipe)
-    with pytest.raises(BadInputError, match=r"a\.dbf is a pipe") if pipe == "a.dbf" else nullcontext():
-        assert len(read_areas(path, bare_map()))

@@ -1,7 +1,7 @@
 """Files of routes, of what can be reached, and of checks, read back by others."""
 
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -17,8 +17,8 @@ from rio_cogeo.cogeo import cog_validate
 from route_records import CORNERS, FIGURES, UTM, MadeUpMap, make_route
 
 from bumpymap.check.pipeline import agreement_of
-from bumpymap.core import CLASS_NAMES, BadInputError, Georeference, RoadFigures, Route, SeenSizes
-from bumpymap.layers import Placement, PlannedRoute, ReachField
+from bumpymap.core import CLASS_NAMES, BadInputError, Georeference, SeenSizes
+from bumpymap.layers import Placement, ReachField
 from bumpymap.layers.check_files import NOT_COMPARED, OFF_KINDS, MapOffset, place_stretches, write_stretches
 from bumpymap.layers.route_files import (
     PROFILE_COLUMNS,
@@ -28,7 +28,6 @@ from bumpymap.layers.route_files import (
     write_profile,
     write_reach,
     write_route_geojson,
-    write_route_stretches,
 )
 from bumpytiles import BLOCK_TILES, Grid, TileWindow
 
@@ -37,10 +36,8 @@ PROPERTIES = {
     *("c_r_max", "c_r_max_low", "c_r_max_high", "c_r_line", "c_r_line_low", "c_r_line_high"),
     *("p_arrives", "p_arrives_note", "p_fail_max", "unknown_m", "why"),
     *("obstacle_m", "tight_turns_deg", "climb_m", "descent_m", "seconds", "risk_m"),
-    *("iri", "iso_8608", "iri_resolution", "iri_note"),
     *("points_per_m2", "smallest_object_m", "smallest_step_m", "seen"),
 }
-STRETCH = RoadFigures(100.0, 0.0, 100.0, 5.5, 256e-6, "resolved", 0.02, 0.1, -0.03, 0.05, 0.04, 0.06, 0.25)
 
 
 def written(route, path):
@@ -104,22 +101,7 @@ def test_a_chance_to_arrive_stands_with_what_would_not_have_been_seen(tmp_path):
     assert "if nothing narrower than 0.7 m" in line["properties"]["p_arrives_note"]
     for said in (text, line["properties"]["seen"]):
         assert "objects narrower than 0.7 m and steps lower than 0.3 m are not seen" in said
-    planned = PlannedRoute(**{field.name: getattr(route, field.name) for field in fields(Route)})
-    assert "arrives over 99.9% if nothing narrower than 0.7 m" in repr(planned)
-
-
-def test_iri_and_class_are_told_where_noise_lets_them(tmp_path):
-    marks = ("resolved", "limited by noise", "unknown")
-    roads = [replace(STRETCH, resolution=mark) for mark in marks[:2]] + [None]
-    routes = [replace(make_route(), figures=replace(FIGURES, road=road), road=(STRETCH,)) for road in roads]
-    found = [lines_of(written(route, tmp_path / "route.geojson"))[0]["properties"] for route in routes]
-    assert [(one["iri"], one["iso_8608"]) for one in found] == [(5.5, "C"), (None, None), (None, None)]
-    assert tuple(one["iri_resolution"] for one in found) == marks
-    assert all("photogrammetry" in one["iri_note"] for one in found)
-    write_route_stretches(replace(routes[0], road=(STRETCH, replace(STRETCH, iso_power=np.nan))), tmp_path / "s.csv")
-    first, second = pd.read_csv(tmp_path / "s.csv").to_dict("records")
-    assert (first["iri"], first["iso_8608"], first["crossfall"], first["a_w"]) == (5.5, "C", -0.03, 0.25)
-    assert pd.isna(second["iso_8608"])
+    assert "arrives over 99.9% if nothing narrower than 0.7 m" in repr(route)
 
 
 def test_stops_have_roles(tmp_path):

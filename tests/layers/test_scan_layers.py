@@ -1,6 +1,5 @@
 """Files of scans, read back by readers that bumpymap does not use for them; what a folder of a run may hold."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,18 +7,16 @@ import laspy
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-import shapely
 from hypothesis import given, settings, strategies as st
 from ply_files import read_vertices
 from pyproj import CRS
 from small_surveys import files_in
 
-from bumpymap.core import Frame, PolarSettings, sector_bounds
+from bumpymap.core import Frame, sector_bounds
 from bumpymap.core.errors import OutputError
-from bumpymap.layers import check_scan_folder, move_products, name_frames, open_accumulated, scan_files
-from bumpymap.layers.scan_files import COLUMNS, open_table, sector_rows, write_cloud, write_polygons
-from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
-from bumpymap.scan import classify_filter, polar_sectors
+from bumpymap.layers import check_scan_folder, move_products, name_frames, open_accumulated
+from bumpymap.layers.scan_files import COLUMNS, open_table, sector_rows, write_cloud
+from bumpymap.layers.scan_folder import SCAN_COLOURS
 
 
 def test_points_say_whether_they_are_ground_how_high_and_in_the_colour_of_that(scan, classed, tmp_path):
@@ -52,46 +49,6 @@ def rows_of(path, *frames):
     return pq.read_table(path)
 
 
-def polygons_of(classed, folder):
-    write_polygons("site", classed, folder / "a.json")
-    return json.loads((folder / "a.json").read_text(encoding="utf-8"))
-
-
-@pytest.mark.parametrize("settings", [PolarSettings(), PolarSettings((0.0, 10.0), 30.0, (3, 7), (1, 2))])
-def test_every_point_lies_in_the_polygon_of_its_sector_and_polygons_do_not_overlap(scan, settings, tmp_path):
-    classed = classify_filter(polar_sectors(scan, settings))
-    stack = classed.sectors
-    record = polygons_of(classed, tmp_path)
-    shapes = [shapely.geometry.shape(feature["geometry"]) for feature in record["features"]]
-    assert len(shapes) == len(stack.zone) > 4
-    assert all(shape.is_valid and shape.exterior.is_ccw for shape in shapes)
-    inside = np.flatnonzero(stack.point_sector >= 0)
-    grown = shapely.buffer(np.array(shapes), 0.02)  # arcs are cut by a centimetre at most
-    points = shapely.points(scan.points[inside, :2])
-    assert shapely.contains(grown[stack.point_sector[inside]], points).all()
-    union = shapely.union_all(shapes)
-    assert sum(shape.area for shape in shapes) == pytest.approx(union.area, rel=1e-4)
-    bounds = sector_bounds(stack)
-    exact = (bounds.left - bounds.right) / 2.0 * (bounds.far**2 - bounds.near**2)
-    np.testing.assert_allclose([shape.area for shape in shapes], exact, rtol=0.004)
-    rows = rows_of(tmp_path / "a.parquet", ("one", classed))
-    for name in ("near", "far", "left", "right"):
-        np.testing.assert_allclose(rows[name], getattr(bounds, name), rtol=1e-6)
-
-
-def test_the_polygons_say_what_the_table_says_of_their_sectors(classed, tmp_path):
-    record = polygons_of(classed, tmp_path)
-    assert (record["frame"], "no longitude and latitude" in record["coordinates_in"]) == ("site", True)
-    rows = rows_of(tmp_path / "a.parquet", ("one", classed)).to_pylist()
-    for row, feature in zip(rows, record["features"], strict=True):
-        said = feature["properties"]
-        assert said.pop("class_name") == SCAN_CLASS_NAMES[3 if row["class"] is None else row["class"]]
-        said |= dict(zip(("normal_x", "normal_y", "normal_z"), said.pop("normal"), strict=True))
-        kept = {name: row[name] if row[name] is None else pytest.approx(row[name], rel=1e-6) for name in said}
-        assert said == kept
-        assert {*row} - {*said} == {"frame", "near", "far", "left", "right", *scan_files.RIDE_COLUMNS}
-
-
 @settings(max_examples=40)
 @given(st.lists(st.from_regex(r"\A(f[0-3]|[Aa]|00000[0-2]_a)(\.(ply|bin))\Z"), min_size=1, max_size=8))
 def test_no_two_frames_have_one_name_on_any_disk(names):
@@ -115,6 +72,8 @@ def test_rows_are_the_sectors_of_all_frames_in_order(classed, nothing, tmp_path)
     same = ("zone", "ring", "sector", "traversable", "obstacle", "obstacle_height", "clearance")
     expected = {name: getattr(stack, name) for name in (*same, "variance", "residual", "coverage", "label")}
     expected |= {f"normal_{axis}": stack.normal[:, number] for number, axis in enumerate("xyz")}
+    bounds = sector_bounds(stack)
+    expected |= {name: getattr(bounds, name).astype(np.float32) for name in ("near", "far", "right", "left")}
     expected |= {"points": stack.count, "ground_points": stack.ground_count, "stripes": classed.stripes}
     for name, values in expected.items():
         np.testing.assert_array_equal(found[name].to_numpy(), np.concatenate([values, values]), err_msg=name)

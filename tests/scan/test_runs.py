@@ -88,7 +88,7 @@ def products(folder):
 
 def test_a_run_writes_every_product_and_nothing_else(mapped):
     out, result, _ = mapped
-    frames = [f"frames/{number}.{ending}" for number in range(3) for ending in ("json", "ply", "png")]
+    frames = [f"frames/{number}.{ending}" for number in range(3) for ending in ("ply", "png")]
     layers = [*PRODUCT_NAMES, *VIEW_NAMES, *SIDES]
     whole = [*frames, "gathered.laz", "scan.json", "sectors.parquet", *(f"map/{name}" for name in layers)]
     assert files(out) == sorted(whole)
@@ -194,7 +194,7 @@ def test_an_interrupted_run_goes_on_and_an_older_one_is_as_it_was(drive, mapped,
     assert end.value.__notes__ == ["Run the same again to continue from the finished frames."]
     assert {name: sum_ for name, sum_ in checksums(out).items() if not name.startswith(".")} == before
     assert (out / ".bumpymap-run").is_dir()
-    with pytest.raises(UsageError, match="products was polygons, table, cloud, is table"):
+    with pytest.raises(UsageError, match="products was table, cloud, is table"):
         scan_frames(replace(config, products=("table",)))
     done_frames.clear()
     result = scan_frames(config)
@@ -354,7 +354,7 @@ def test_a_scan_without_ground_gives_empty_products_and_says_why(tmp_path, caplo
     assert result.drive is None
     named = result.frames[0]["sectors"], result.frames[0]["points_by_class"]
     assert not any(sum([*each.values()][:3]) for each in named)
-    assert files(tmp_path / "out" / "frames") == ["a.json", "a.ply"]
+    assert files(tmp_path / "out" / "frames") == ["a.ply"]
     table = pq.read_table(tmp_path / "out" / "sectors.parquet")
     assert table["class"].null_count == table.num_rows
     assert not (tmp_path / "out" / "map").exists()

@@ -69,22 +69,6 @@ def test_a_page_of_500_surveys_is_small():
     assert len(index_page(rows, views, ["summary.csv"], "night").encode()) < 2_000_000
 
 
-def test_places_are_drawn_if_two_are_known():
-    far = done("far", crs="EPSG:32632", min_x=5e5, min_y=5e6, max_x=5.001e5, max_y=5.0001e6)
-    assert "<figure>" not in index_page([done("a")], {}, [], "night")
-    assert "<figure>" not in index_page([done("a"), done("b", crs="nonsense"), done("c", crs=None)], {}, [], "night")
-    page = index_page([done("a"), far, SurveyRow("x", "failed")], {}, [], "night")
-    boxes = re.findall(r'<rect class="good" x="([\d.]+)" y="([\d.]+)"[^>]*><title>(\w+)<', page)
-    place = {name: (float(x), float(y)) for x, y, name in boxes}
-    assert place["a"][0] < place["far"][0]  # Texas is west of Europe, and south
-    assert place["a"][1] > place["far"][1]
-    assert "1 without a known place" in page
-    assert re.search(r'<path class="land" d="M\d', page)
-    named = {side: re.findall(rf">([\d.]+)° {side}</text>", page) for side in "NW"}
-    assert min(map(len, named.values())) >= 1
-    assert len(page) < 100_000
-
-
 def test_surveys_are_sorted_by_what_can_be_crossed():
     rows = [done("a", share_passable=0.2), done("b", share_passable=0.9), done("c", share_passable=0.5)]
     page = index_page(rows, {}, [], "night")

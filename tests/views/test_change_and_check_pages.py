@@ -23,9 +23,9 @@ from bumpymap.check.pipeline import write_check
 from bumpymap.core import CHANGE_KINDS, CLASS_NAMES, BadInputError, Georeference, UsageError
 from bumpymap.layers.check_files import MapOffset
 from bumpymap.views import check_headline, write_report
+from bumpymap.views.light import levelled
 from bumpymap.views.page import change_page
 from bumpymap.views.page.change_page import NOT_COMPARED
-from bumpymap.views.pictures.drawing import levelled
 
 
 def band(folder, name):
@@ -87,7 +87,6 @@ def test_values_of_the_page_are_those_of_the_raster_within_its_rounding(comparis
 
 def test_nothing_found_and_nothing_compared_are_not_the_same(may, tmp_path, read_page):
     same = bumpymap.diff_surveys(may, may, tmp_path / "same")
-    assert same.regions()["kind"].tolist() == []
     assert "No change was found on the 1.08 ha that were compared" in read_page(same.folder / "report.html").text
     folder = shutil.copytree(same.folder, tmp_path / "none")
     record = json.loads((folder / "change.json").read_text())

@@ -18,7 +18,7 @@ from check_records import made_up_check
 from cost_maps import lone_columns, table_of
 from pyproj import CRS
 from route_maps import RUN, copy_folder, plant_photo, write_folder
-from route_records import CORNERS, UTM, MadeUpMap, make_route
+from route_records import UTM, MadeUpMap, make_route
 from skimage.color import deltaE_ciede2000, rgb2lab
 from small_surveys import run, write_survey
 from survey_pairs import survey
@@ -479,7 +479,7 @@ def test_ways_and_what_can_be_reached_are_drawn_over_the_map(tmp_path, site):
     write_route(way, source, ways, manifest={})
     values = np.arange(12, dtype=np.float32).reshape(3, 4)
     field = ReachField(Placement(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3)), values, values / 4)
-    write_reach_files(field, source, CORNERS[0], reach, levels=[1, 0.5], manifest={})
+    write_reach_files(field, source, reach, levels=[1, 0.5], manifest={})
     seen = load(ways)["project"]
     shown = {"obstacle_tif_dark", "cost_fgb_closed", "roughness_tif", "relief_tif"}
     over_map(seen, {"route_geojson_stops", "route_geojson_ways", *shown})

@@ -49,7 +49,6 @@ def test_the_page_asks_nobody_and_its_tables_equal_the_counts_of_the_run(site, r
     assert counted(tables["Classes"]) == in_words(classes)
     assert counted(tables["What can be crossed"]) == in_words(counts["barred"] | {"passable": counts["passable"]})
     assert counted(tables["Why ground is not known"]) == in_words(counts["by_reason"])
-    assert sum(int(row[1].replace(",", "")) for row in tables["Ride cost C_r of the tiles"][1:]) == counts["classified"]
 
 
 def test_values_of_the_page_are_those_of_the_rasters_within_its_rounding(site, read_page):
@@ -107,8 +106,6 @@ def test_the_worst_tile_decides_a_pixel_of_several(site, tmp_path, monkeypatch, 
         assert (bars[1][row, col] == 0) == (barred == 0).all()
         assert np.isnan(costs[1][row, col]) == (barred != 0).any() or np.isnan(rides[1][row, col])
         assert seen[row, col] == standing[part[0], :, part[1]].any()
-    tables = [Outline(page.text).tables["Ride cost C_r of the tiles"] for page in (one, many)]
-    assert tables[0] == tables[1]
 
 
 def test_islands_are_passable_tiles_of_small_pieces(tmp_path, read_page):
@@ -223,7 +220,7 @@ def test_a_way_lies_on_the_map(site, tmp_path, read_page):
     corners = [(110_002 * 3.0, 680_004 * 3.0), (110_020 * 3.0, 680_022 * 3.0)]
     to_lonlat = Transformer.from_crs("EPSG:32614", "OGC:CRS84", always_xy=True)
     line = {"type": "LineString", "coordinates": [to_lonlat.transform(*corner) for corner in corners]}
-    about = {"name": "<b>way</b>", "length_m": 1234.5, "c_r_mean": 0.123456, "p_arrives": 0.998, "iri": 5.5}
+    about = {"name": "<b>way</b>", "length_m": 1234.5, "c_r_mean": 0.123456, "p_arrives": 0.998}
     about |= {"smallest_object_m": 0.69, "seen": "At 10 points/m2, objects narrower than 0.7 m are not seen."}
     collection = {"type": "FeatureCollection", "features": [{"type": "Feature", "properties": about, "geometry": line}]}
     (tmp_path / "route.geojson").write_text(json.dumps(collection))
@@ -232,11 +229,7 @@ def test_a_way_lies_on_the_map(site, tmp_path, read_page):
     assert np.allclose(way["lines"][0], corners, atol=0.02)
     table = dict(Outline(page.text).tables["Figures of the way"])
     wanted = {"figure": "A <b>way</b>", "mean ride cost of the tiles (rad/m)": "0.123", "length (m)": "1,234"}
-    wanted |= {"probability to arrive": "over 99\xa0%", "international roughness index (m/km)": "5.5"}
-    assert (
-        'international roughness index (m/km)<span class="meaning">of a car at 80 km/h on both wheel paths; waves that'
-        in page.text
-    )
+    wanted["probability to arrive"] = "over 99\xa0%"
     wanted["the chance holds"] = "if nothing narrower than 0.7 m stands in the way"
     assert {name: table[name] for name in wanted} == wanted
     assert page.text.count(about["seen"]) == 1

@@ -310,25 +310,6 @@ def test_ground_of_which_too_little_was_seen_shows_its_reason_and_no_class(visit
     assert np.abs(np.subtract(colour, BARRED_COLOURS[Barred.LITTLE_SEEN][:3])).max() <= 2
 
 
-def test_the_pointer_reads_the_ride_by_heading_as_words_and_as_a_rose(visit, pages, site, read_page, tmp_path):
-    folder = copy_folder(site, tmp_path / "headings")
-    assert visit(pages["one"]).locator(".rose").count() == 0
-    with rasterio.open(folder / "rasters/class.tif") as file:
-        about = file.profile | {"driver": "GTiff", "dtype": "float32", "count": 8, "nodata": np.nan}
-    with rasterio.open(folder / "rasters/roughness.tif") as file:
-        c_r = file.read(1)
-    with rasterio.open(folder / "rasters/headings.tif", "w", **about) as file:
-        file.write(c_r * np.array([1.5, 1, 1, 1, 0.5, 1, 1, 1], np.float32)[:, None, None])
-    page = visit(write_report(folder))
-    row, col = first(read_page(pages["one"]).codes("ground") == 2)
-    text, _ = page.evaluate(POINT_AT, [row, col, "class"])
-    assert f"calmest along E-W ({0.5 * c_r[row, col]:.3f}), roughest along N-S ({1.5 * c_r[row, col]:.3f})" in text
-    assert page.locator(".rose polygon").get_attribute("points").startswith("52.0,4.0 ")  # as far as it goes, north
-    assert page.locator(".rose").is_visible()
-    page.evaluate("window.reportMaps[0].read([-9, -9])")
-    assert not page.locator(".rose").is_visible()
-
-
 def test_the_pointer_reads_what_has_changed_and_what_is_not_compared_never_looks_unchanged(visit, pages, read_page):
     page, about = visit(pages["change"]), read_page(pages["change"])
     kinds, (heights, _), (rides, _) = about.codes("ground"), about.values("d_height"), about.values("d_c_r")

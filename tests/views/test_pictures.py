@@ -1,30 +1,22 @@
-"""Pictures of routes and scans: what is where, in which colour."""
+"""Pictures of ground and scans: what is where, in which colour."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
 import rasterio
-from PIL import Image
-from route_records import CORNERS, MadeUpMap, make_route
+from route_records import MadeUpMap
 
 from bumpymap.core import NO_TILE, Barred, PolarSettings, Scan, sector_bounds
-from bumpymap.layers.colours import CLASS_COLOURS, CLOSED_COLOUR, UNKNOWN_COLOUR
+from bumpymap.layers.colours import CLOSED_COLOUR, UNKNOWN_COLOUR, RideScale
 from bumpymap.layers.scan_folder import SCAN_COLOURS, SECTOR_STATES, point_styles, sector_states
 from bumpymap.scan import classify_filter, polar_sectors
-from bumpymap.views.pictures import drawing
-from bumpymap.views.pictures.drawing import MapView, hard_light, levelled, paint_ground
-from bumpymap.views.pictures.route_picture import write_route_picture
-from bumpymap.views.pictures.scan_picture import SIDE, paint as paint_image, write_picture
-from bumpytiles import Grid
+from bumpymap.views import space
+from bumpymap.views.light import grey_of, hard_light, levelled
+from bumpymap.views.scan_picture import SIDE, paint as paint_image, write_picture
+from bumpymap.views.space import painted
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
-
-
-@pytest.fixture(scope="module")
-def view():
-    return MapView.around(Grid(), CORNERS, 600, (300, 500))
 
 
 @pytest.fixture
@@ -32,17 +24,22 @@ def ground():
     return MadeUpMap.around()
 
 
-def test_level_ground_has_the_colour_of_its_ride_cost(view, ground):
-    pixels, scale = paint_ground(ground, view)
-    row = ground.window.row + ground.window.rows - 1 - np.floor(view.northings / 3.0).astype(int)
-    place = np.ix_(row, np.floor(view.eastings / 3.0).astype(int) - ground.window.col)  # tiles in the middle of pixels
+def look(ground, side=1):
+    """Return the colours of pixels, so many along each side of a tile, and each tile's number along both axes."""
+    shape = ground.window.rows * side, ground.window.cols * side
+    return painted(ground, np.full(shape, np.nan)), np.ix_(*(np.arange(count) // side for count in shape))
+
+
+def test_level_ground_has_the_colour_of_its_ride_cost(ground):
+    pixels, place = look(ground, 2)
     barred, c_r = ground.barred[place], ground.c_r[place]
     passable = np.isin(barred, (Barred.NO, Barred.OBSTACLE, Barred.STEP))  # the vehicle fits everywhere
+    scale = RideScale.of(ground.manifest)
     np.testing.assert_allclose(pixels[passable], scale.colours(c_r[passable]), atol=1.5)
     closed = ~passable & ~np.isin(barred, (Barred.UNKNOWN, NO_TILE))
     for chosen, colour in ((closed, CLOSED_COLOUR), (barred == Barred.UNKNOWN, UNKNOWN_COLOUR)):
         np.testing.assert_array_equal(pixels[chosen], np.broadcast_to(colour[:3], pixels[chosen].shape))
-    assert (pixels[barred == NO_TILE] == drawing.NO_DATA).all()
+    assert (pixels[barred == NO_TILE] == space.NO_DATA).all()
 
 
 def test_a_photo_is_levelled_and_leaves_the_colours_of_the_map_where_it_is_mid_grey():
@@ -51,7 +48,7 @@ def test_a_photo_is_levelled_and_leaves_the_colours_of_the_map_where_it_is_mid_g
     photo[3, 5] = np.nan
     seen = levelled(photo)
     known = np.isfinite(photo[..., 0])
-    assert np.median(drawing.grey_of(seen[known])) == pytest.approx(128, abs=2)
+    assert np.median(grey_of(seen[known])) == pytest.approx(128, abs=2)
     assert (np.isnan(seen[..., 0]) == ~known).all()
     colours = rng.uniform(0, 255, (30, 40, 3))
     np.testing.assert_allclose(hard_light(colours, np.full(colours.shape, 128.0)), colours, atol=1.5)
@@ -62,91 +59,37 @@ def test_a_photo_is_levelled_and_leaves_the_colours_of_the_map_where_it_is_mid_g
 
 
 def test_closed_pixels_are_grey_and_not_whole_tiles(ground):
-    size, side = 0.2, 15
+    side = 15
     ground.barred[:] = Barred.SPLIT
     ground.c_r[:] = 0.1
-    ground.fits = np.random.default_rng(2).random((ground.window.rows * side, ground.window.cols * side)) < 0.7
-    corner = ground.grid.window_bounds(ground.window)
-    middle = np.floor(CORNERS.mean(axis=0))
-    view = MapView(ground.grid, middle[0], middle[1], size, 80, 60)
-    pixels, scale = paint_ground(ground, view)
-    row = np.floor((corner.north - view.northings) / size + 1e-6).astype(int)
-    col = np.floor((view.eastings - corner.west) / size + 1e-6).astype(int)
-    fits = ground.fits[np.ix_(row, col)]
+    fits = ground.fits = np.random.default_rng(2).random((ground.window.rows * side, ground.window.cols * side)) < 0.7
+    pixels, _ = look(ground, side)
     assert (pixels[~fits] == CLOSED_COLOUR[:3]).all()
-    np.testing.assert_allclose(pixels[fits], np.tile(scale.colours(np.array(0.1)), (fits.sum(), 1)), atol=1.5)
+    colour = RideScale.of(ground.manifest).colours(np.array(0.1))
+    np.testing.assert_allclose(pixels[fits], np.tile(colour, (fits.sum(), 1)), atol=1.5)
 
 
-def test_islands_are_faint_and_nothing_else_is(view, ground, monkeypatch):
-    whole, scale = paint_ground(ground, view)
+def test_islands_are_faint_and_nothing_else_is(ground, monkeypatch):
+    whole, _ = look(ground)
     zone = np.where(np.arange(ground.c_r.shape[1]) % 2, 1.0, 2.0) * np.ones_like(ground.c_r)
     counts = {"counts": {"zones": {"pieces": 2, "islands": 1}}}
     monkeypatch.setattr(type(ground), "manifest", ground.manifest | counts)
     read = lambda self, window, _: {"zone": self._cut(zone, window, np.nan)}  # noqa: E731
     monkeypatch.setattr(type(ground), "values", read, raising=False)
-    pixels, _ = paint_ground(ground, view)
-    row = ground.window.row + ground.window.rows - 1 - np.floor(view.northings / 3.0).astype(int)
-    place = np.ix_(row, np.floor(view.eastings / 3.0).astype(int) - ground.window.col)
-    faint = np.isin(ground.barred[place], (Barred.NO, Barred.OBSTACLE, Barred.STEP)) & (zone[place] == 2)
+    pixels, _ = look(ground)
+    faint = np.isin(ground.barred, (Barred.NO, Barred.OBSTACLE, Barred.STEP)) & (zone == 2)
     assert faint.any()
-    np.testing.assert_allclose(pixels[faint], 0.4 * scale.colours(ground.c_r[place][faint]) + 0.6 * 128, atol=1.5)
+    own = RideScale.of(ground.manifest).colours(ground.c_r[faint])
+    np.testing.assert_allclose(pixels[faint], 0.4 * own + 0.6 * 128, atol=1.5)
     np.testing.assert_array_equal(pixels[~faint], whole[~faint])
 
 
-def test_reading_strip_by_strip_paints_the_same(view, ground, monkeypatch):
-    whole, _ = paint_ground(ground, view)
-    monkeypatch.setattr(drawing, "_STRIP_TILES", 300)
-    pieces, _ = paint_ground(ground, view)
+def test_reading_strip_by_strip_paints_the_same(ground, monkeypatch):
+    whole, _ = look(ground)
+    monkeypatch.setattr(space, "STRIP_TILES", 300)
+    pieces, _ = look(ground)
     assert len(ground.windows) > 6
     np.testing.assert_array_equal(whole, pieces)
-
-
-def painted(route, ground, folder):
-    write_route_picture(route, ground, folder / "way.png")
-    return np.asarray(Image.open(folder / "way.png"))
-
-
-def test_the_way_and_its_ends_stand_where_they_are(ground, tmp_path):
-    picture = painted(make_route(stops=CORNERS), ground, tmp_path).astype(int)
-    assert picture.shape[1] == 1600
-    view = MapView.around(Grid(), CORNERS, 1200, (520, 900))
-    along = np.linspace(0.0, 1.0, 200)[:, None]
-    for first, last in pairwise(CORNERS):
-        pixels = view.pixels(first + along * (last - first)) + np.array([24, 56])
-        length = np.hypot(*(pixels[-1] - pixels[0]))
-        free = (along[:, 0] * length > 20) & ((1 - along[:, 0]) * length > 20)  # clear of the discs
-        col, row = np.floor(pixels[free]).astype(int).T
-        assert (picture[row, col].max(axis=1) < 60).mean() > 0.98
-    for stop, colour in zip(CORNERS, ([255, 255, 255], [255, 236, 170], [0, 0, 0]), strict=True):
-        col, row = np.floor(view.pixels(stop[None])[0] + np.array([24, 56 - 9])).astype(int)  # above the letter
-        assert picture[row, col].tolist() == colour
-
-
-def test_the_profile_is_filled_with_the_colours_of_the_ride_cost(ground, tmp_path):
-    ground.barred[:] = NO_TILE  # the map itself has no colour
-    base = make_route()
-    length = len(base.profile.distance)
-    rough = np.where(np.arange(length) < length // 2, 0.0, 5.0)
-    profile = replace(base.profile, z=np.full(length, 7.0), c_r=rough, c_r_low=rough, c_r_high=rough)
-    picture = painted(replace(base, profile=profile), ground, tmp_path).astype(float)
-    below = picture[-70 - 200 : -70 - 130]  # the lower part of the chart of heights
-    left, right = below[:, 200:600].reshape(-1, 3), below[:, 800:1180].reshape(-1, 3)
-    for part, colour in ((left, CLASS_COLOURS[0]), (right, CLASS_COLOURS[3])):
-        middle = np.median(part, axis=0)
-        assert np.argsort(middle).tolist() == np.argsort(colour[:3]).tolist()
-        assert np.ptp(middle) > 40
-
-
-@pytest.mark.parametrize("names", [["z"], ["c_r", "c_r_low", "c_r_high"], ["z", "c_r", "c_r_low", "c_r_high"]])
-def test_what_is_unknown_is_drawn_without_complaint(ground, names, recwarn, tmp_path):
-    base = make_route()
-    nothing = np.full(len(base.profile.distance), np.nan)
-    route = replace(base, profile=replace(base.profile, **dict.fromkeys(names, nothing)))
-    ground.height[:] = np.nan
-    ground.barred[:] = NO_TILE
-    ground.c_r[:] = np.nan
-    assert painted(route, ground, tmp_path).shape[1] == 1600
-    assert not [str(warning.message) for warning in recwarn if "numpy" in str(warning.filename)]
 
 
 def paint(scan, classed, range_m=40.0):

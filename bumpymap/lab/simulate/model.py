@@ -22,11 +22,9 @@ from xml.sax.saxutils import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, OutputError, UsageError, install_command
+from bumpymap.core import BadInputError, Floats, OutputError, UsageError, install_command
 from bumpymap.lab.settings import Physics
 from bumpymap.rating import Vehicle
-
-_Floats = NDArray[np.float64]
 
 
 class DrivenGround(Protocol):
@@ -44,11 +42,11 @@ class DrivenGround(Protocol):
     def gradient(self) -> tuple[float, float]:
         """Mean slope to the east and to the north, m/m; sets the initial attitude of a vehicle."""
 
-    def height(self, easting: _Floats, northing: _Floats) -> _Floats:
+    def height(self, easting: Floats, northing: Floats) -> Floats:
         """Return the heights of points, m; all arrays have the same shape."""
 
 
-def fit_plane(heights: _Floats) -> tuple[_Floats, tuple[float, float]]:
+def fit_plane(heights: Floats) -> tuple[Floats, tuple[float, float]]:
     """Fit a least-squares plane to a square heightmap (pixels, pixels) [m], north row first.
 
     Returns the plane at the pixel centres, m, and its slope to the east and to the north, m per pixel.
@@ -62,7 +60,7 @@ def fit_plane(heights: _Floats) -> tuple[_Floats, tuple[float, float]]:
     return plane, (east, north)
 
 
-def relief_and_slope(tiles: Sequence[_Floats], tile_size: float) -> tuple[NDArray[np.float32], _Floats]:
+def relief_and_slope(tiles: Sequence[Floats], tile_size: float) -> tuple[NDArray[np.float32], Floats]:
     """Return relief maps (n, pixels, pixels) [m] above the planes of heightmaps, and the slopes of these (n,) [deg]."""
     relief, slope = [], []
     for heights in tiles:
@@ -76,7 +74,7 @@ def relief_and_slope(tiles: Sequence[_Floats], tile_size: float) -> tuple[NDArra
 class PatchGround:
     """A patch continued without bounds: its plane plus its mirrored residual."""
 
-    residual: _Floats
+    residual: Floats
     """(pixels, pixels) heights above the plane, m; south row first."""
     tile_size: float
     """Side of the patch, m."""
@@ -110,7 +108,7 @@ class PatchGround:
         """Half a pixel, m: pixel centres become vertices, so the mesh keeps the peaks of the bilinear ground."""
         return self.tile_size / len(self.residual) / 2
 
-    def height(self, easting: _Floats, northing: _Floats) -> _Floats:
+    def height(self, easting: Floats, northing: Floats) -> Floats:
         """Return the heights of points, m; the patch itself lies between 0 and ``tile_size`` on both axes."""
         pixels = len(self.residual)
         scale = pixels / self.tile_size

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.core import Floats
 from bumpymap.lab.settings import CalibrationSettings, DriveSettings, Physics
 from bumpymap.lab.simulate.drive import Start, draw_start, drive_strip, follow, library_terrain, six_digits
 from bumpymap.lab.simulate.jobs import DriveJob, Key
@@ -135,7 +136,6 @@ def run_motion(settings: CalibrationSettings, job: DriveJob) -> MotionRecord:
     return MotionRecord.of(made)
 
 
-Floats = NDArray[np.float64]
 SPEED_RANGE = (0.4, 2.5)
 """Speeds that may be asked for, as shares of the profile's: a quarter beyond those that are driven."""
 _LEAST_C_R = 0.002

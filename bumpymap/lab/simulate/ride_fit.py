@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import SPANNED_POINTS, THIN_POINTS, BumpymapError, FeatureSettings, Reason
+from bumpymap.core import SPANNED_POINTS, THIN_POINTS, BumpymapError, FeatureSettings, Floats, Reason
 from bumpymap.lab.simulate.model import relief_and_slope
 from bumpymap.lab.terrains import FINE, Terrain, survey_terrain
 from bumpymap.patches import measure, measure_thin
@@ -48,7 +48,6 @@ from bumpymap.rating import (
 )
 from bumpytiles import Grid, TileBuckets, TilePoints
 
-Floats = NDArray[np.float64]
 Table = tuple[tuple[float, ...], ...]
 
 MAX_FAILED_SHARE = 0.25

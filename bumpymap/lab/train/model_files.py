@@ -21,7 +21,6 @@ from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from bumpymap.core import OutputError, UsageError, atomic, locked
-from bumpymap.lab.label_sets import Accuracy
 from bumpymap.lab.settings import LoopSettings
 
 _log = logging.getLogger(__name__)
@@ -165,30 +164,16 @@ def training_files(out: Path) -> Iterator[Path]:
         yield out.with_name(out.name + ".checkpoint")
 
 
-def write_model(out: Path, content: bytes, card: str, checkpoint: Path) -> None:
-    """Write an ONNX file and its model card, Markdown beside it; delete the checkpoint."""
+def write_model(out: Path, content: bytes, checkpoint: Path) -> None:
+    """Write an ONNX file; delete the checkpoint."""
     with atomic(out) as beside:
         beside.write_bytes(content)
-    with atomic(out.with_suffix(".md")) as beside:
-        beside.write_text(card, encoding="utf-8")
     checkpoint.unlink(missing_ok=True)
 
 
 def versions(kind: str) -> dict[str, object]:
     """Return format and versions for the metadata of an ONNX file."""
     return {"format": kind, "bumpymap": version("bumpymap"), "torch": torch.__version__}
-
-
-def percent(share: float) -> str:
-    """Format a share of 0..1 as per cent, for a model card."""
-    return f"{100 * share:.2f} %"
-
-
-def score_table(score: Accuracy, names: Sequence[str]) -> str:
-    """Return the confusion matrix as a Markdown table; ``names`` of the classes, in order."""
-    head = ["| true \\ predicted | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|"]
-    lines = zip(names, score.confusion, strict=True)
-    return "\n".join([*head, *(f"| {name} | " + " | ".join(map(str, line)) + " |" for name, line in lines)])
 
 
 _OPSET, _IR_VERSION = 17, 8

@@ -1,4 +1,4 @@
-"""Train the scan network on sectors of labelled frames, score it on unseen ones, and write it as ONNX with its card."""
+"""Train the scan network on sectors of labelled frames, score it on unseen ones, and write it as ONNX."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -20,9 +20,7 @@ from bumpymap.lab.train.model_files import (
     EpochReport,
     OnnxGraph,
     convolution,
-    percent,
     predict,
-    score_table,
     train_network,
     training_files,
     versions,
@@ -60,8 +58,6 @@ class Sectors(NamedTuple):
     """(n, len(MEASURES))"""
     class_id: NDArray[np.int64]
     """(n,) 0..2"""
-    label: NDArray[np.int16]
-    """(n,) the RELLIS-3D id behind the class."""
 
 
 def join(parts: Sequence[Sectors]) -> Sectors:
@@ -97,7 +93,7 @@ def labelled_sectors(scan: Scan, cuts: Iterable[tuple[float, PolarSettings]] = (
         known = (class_id >= 0) & stack.traversable
         patches, measures = network_input(stack)
         chosen = known[stack.traversable]
-        parts.append(Sectors(patches[chosen], measures[chosen], class_id[known].astype(np.int64), stack.label[known]))
+        parts.append(Sectors(patches[chosen], measures[chosen], class_id[known].astype(np.int64)))
     return join(parts)
 
 
@@ -268,12 +264,10 @@ def _learning_rate(share: float, peak: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class ScanEvaluation:
-    """All scores of the model card, on unseen scans."""
+    """All scores of a training, on unseen scans."""
 
     every: Accuracy
     """All sectors with a class and ground, which are the ones classified in use."""
-    labels: dict[int, tuple[int, ...]]
-    """RELLIS-3D id -> number of sectors classified as 0, 1, 2."""
     scans: int
     """Number of scans."""
     parameters: int
@@ -284,87 +278,8 @@ def evaluate(net: ScanNet, unseen: Sectors, scans: int) -> ScanEvaluation:
     """Score a trained network on the sectors of ``scans`` unseen scans."""
     probability = predict(net, torch.from_numpy(unseen.patches), torch.from_numpy(unseen.measures))
     predicted = probability.argmax(axis=1)
-    labels = {
-        int(label): tuple(np.bincount(predicted[unseen.label == label], minlength=CLASSES).tolist())
-        for label in np.unique(unseen.label)
-    }
     parameters = sum(p.numel() for p in net.parameters())
-    return ScanEvaluation(accuracy_of(unseen.class_id, predicted, CLASSES), labels, scans, parameters)
-
-
-DATA = "Labelled frames in the layout of RELLIS-3D; the last fifth of every sequence is unseen.\n"
-"""Description of the data in the model card."""
-
-
-def model_card(
-    settings: ScanTrainSettings, evaluation: ScanEvaluation, sectors: Sectors, command: str, size: int
-) -> str:
-    """Return the text of the card of a training.
-
-    ``sectors``: those of the training; ``command``: its command line, without ``--out``; ``size``: of the ONNX file,
-    bytes.
-    """
-    learned = np.bincount(sectors.class_id, minlength=CLASSES).tolist()
-    every, widths = evaluation.every, ", ".join(map(str, settings.network.widths))
-    classes = "; ".join(
-        f"{k}: " + ", ".join(_LABELS.names[label] for label, class_id in _LABELS.class_of.items() if class_id == k)
-        for k in range(CLASSES)
-    )
-    labels = "\n".join(
-        f"| {_LABELS.names[label]} | {_LABELS.class_of[label]} | " + " | ".join(map(str, counts)) + " |"
-        for label, counts in sorted(evaluation.labels.items(), key=lambda item: (_LABELS.class_of[item[0]], item[0]))
-    )
-    return f"""# Scan network
-
-Classifies the sectors of one LiDAR scan by roughness: class 0 (smooth) to 2 (rough).
-
-- **Use**: `bumpymap scan --method learned`.
-- **Input**: `patches` (batch, {CHANNELS}, 15, 15) float32 in the sector's own polar coordinates: the heights of its
-  ground above its plane, scaled by their own range and by asinh(h / 5 cm), and the tops of what is not ground and the
-  number of its points; and `measures` (batch, {len(MEASURES)}):
-  {", ".join(MEASURES)} (sector version {SECTOR_VERSION}). `beside` is the ratio of the number of points to that
-  of the ground in the same ring.
-- **Output**: `probability` (batch, {CLASSES}) float32.
-- **Network**: after MobileNetV2: a 3 x 3 convolution with {settings.network.stem} filters, inverted residuals with
-  {widths} channels and expansion factor {settings.network.expansion}; the measures join before the output layer.
-  {evaluation.parameters:,} trained parameters; {size:,} bytes of ONNX, opset 17.
-- **Grid**: any polar grid with heightmaps of {PolarSettings().pixels} x {PolarSettings().pixels} pixels.
-- **Classes**: {classes} (most frequent label of a sector's points, RELLIS-3D names).
-
-## Data
-
-{DATA}
-Training sectors: {", ".join(f"{n:,} of class {k}" for k, n in enumerate(learned))}. An epoch draws
-{settings.sectors_per_class:,} of each class, half of them mirrored in azimuth; each scan was cut into sectors
-{settings.turns} more times after a random rotation, half of these times on another polar grid.
-
-## Accuracy
-
-On {every.count:,} sectors with ground of {evaluation.scans} **unseen scans:
-{percent(every.even)} balanced accuracy** (training is balanced in the same way),
-{percent(every.right)} of all sectors. The paper reports 83.24 % on its own patches, which are not these.
-
-{score_table(every, [*map(str, range(CLASSES))])}
-
-By label, number of sectors classified as 0, 1, 2:
-
-| label | class | 0 | 1 | 2 |
-|---|---|---|---|---|
-{labels}
-
-## Reproduce
-
-    pip install '.[learn]'
-    {command} --out scan.onnx
-
-Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same bits on the same machine and libraries.
-
-## Limits
-
-- A sector has one class. If a kerb, a trunk or the margin of a puddle runs through it, the most
-  frequent label counts as true; many of the errors are such sectors.
-- Ground that few beams reach is uncertain: beyond 20 m a sector often contains one or two scan lines.
-"""
+    return ScanEvaluation(accuracy_of(unseen.class_id, predicted, CLASSES), scans, parameters)
 
 
 def to_onnx(net: ScanNet, metadata: Mapping[str, object]) -> bytes:
@@ -400,10 +315,10 @@ def make_scan_model(
 ) -> ScanEvaluation:
     """Train a network for the sectors of scans, write it, and return its scores.
 
-    Settings and scans determine every byte of the file on one machine. ``out``: the ONNX file. The model card is
-    written next to it (``.md``), and while the job runs a checkpoint (``.checkpoint``), from which the same call
-    resumes after an interruption. ``scans``: a folder in the layout of RELLIS-3D. ``progress`` is called with a report
-    after every epoch, ``scan_progress`` with (finished scans, all scans) after every scan that was cut into sectors.
+    Settings and scans determine every byte of the file on one machine. ``out``: the ONNX file. While the job runs
+    a checkpoint (``.checkpoint``) lies next to it, from which the same call resumes after an interruption. ``scans``: a
+    folder in the layout of RELLIS-3D. ``progress`` is called with a report after every epoch, ``scan_progress`` with
+    (finished scans, all scans) after every scan that was cut into sectors.
 
     Raises OutputError if a file cannot be written, BadInputError if the folder contains no scans with labels,
     UsageError if a checkpoint of another training exists.
@@ -415,8 +330,7 @@ def make_scan_model(
         net = train(settings, sectors, checkpoint, progress)
         evaluation = evaluate(net, others, len(unseen))
         command = f"bumpymap train scans RELLIS_FOLDER {settings.options}"
-        content = to_onnx(net, metadata_of(settings, evaluation, command))
-        write_model(out, content, model_card(settings, evaluation, sectors, command, len(content)), checkpoint)
+        write_model(out, to_onnx(net, metadata_of(settings, evaluation, command)), checkpoint)
     return evaluation
 
 

@@ -1,4 +1,4 @@
-"""Train the texture network on made patches, score it on unseen ones, and write it as ONNX with its model card.
+"""Train the texture network on made patches, score it on unseen ones, and write it as ONNX.
 
 All patches come from one seed. `surveyed` makes of scaled patches what a survey shows of ground of some relief: turned,
 bent, blurred, on a slope, through points with noise, waves and strips of photogrammetry, and empty pixels that are
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import correlate
 from torch import nn
 
-from bumpymap.core import TEXTURES
+from bumpymap.core import TEXTURES, Floats
 from bumpymap.lab.label_sets import Accuracy, accuracy_of
 from bumpymap.lab.settings import NetworkSettings, TrainSettings
 from bumpymap.lab.terrains import make_short_waves, make_textures
@@ -28,18 +28,13 @@ from bumpymap.lab.train.model_files import (
     EpochReport,
     OnnxGraph,
     convolution,
-    percent,
     predict,
-    score_table,
     train_network,
     training_files,
     versions,
     write_model,
 )
 from bumpymap.rating import FEATURE_VERSION, MEASURES, measures_of, normalise, remove_plane
-
-_Floats = NDArray[np.float64]
-
 
 FORM_RELIEF = {"flat": (0.0, 0.3), "low_noise": (0.1, 1.5), "noise_sin": (0.3, 3.0), "high_noise": (0.6, math.inf)}
 """Least and greatest true relief of each form in a tile, m, which decide the label. Below 0.1 m even the roughest form
@@ -74,7 +69,7 @@ class SurveyEffects:
     """Share of the patches of which the noise is not known."""
 
 
-def labels_of(shape: NDArray[np.int64], relief: _Floats) -> NDArray[np.int64]:
+def labels_of(shape: NDArray[np.int64], relief: Floats) -> NDArray[np.int64]:
     """Return the label of ground of a ``shape`` and true ``relief`` [m], (n,): the shape if it is so low or high.
 
     Elsewhere it is the nearest form whose `FORM_RELIEF` holds the relief.
@@ -95,7 +90,7 @@ def surveyed(
     of, count, pixels = of or SurveyEffects(), len(patches), patches.shape[-1]
     grid, one = np.arange(pixels), (count, 1, 1)
 
-    def spread(low: float, high: float) -> _Floats:
+    def spread(low: float, high: float) -> Floats:
         return np.exp(rng.uniform(math.log(low), math.log(high), one))
 
     def some(share: float) -> NDArray[np.bool_]:
@@ -130,7 +125,7 @@ def surveyed(
     return normalise(seen), measures, labels_of(shape, relief[:, 0, 0])
 
 
-def rotate(patches: _Floats, angle: _Floats) -> _Floats:
+def rotate(patches: Floats, angle: Floats) -> Floats:
     """Rotate each patch about its centre by ``angle`` (n,) rad: bilinear, half-sample mirroring beyond the border."""
     count, pixels, _ = patches.shape
     axis = np.arange(pixels) - (pixels - 1) / 2
@@ -142,32 +137,32 @@ def rotate(patches: _Floats, angle: _Floats) -> _Floats:
     which = np.arange(count)[:, None, None]
     upper = patches[which, r, c] * (1 - right) + patches[which, r, c + 1] * right
     lower = patches[which, r + 1, c] * (1 - right) + patches[which, r + 1, c + 1] * right
-    turned: _Floats = upper * (1 - down) + lower * down
+    turned: Floats = upper * (1 - down) + lower * down
     return turned
 
 
-def _mirror(position: _Floats, pixels: int) -> _Floats:
+def _mirror(position: Floats, pixels: int) -> Floats:
     """Mirror positions [px] into 0 .. pixels - 1 at the outer edges of the first and the last pixel."""
     folded = np.mod(position + 0.5, 2 * pixels)
     return np.clip(np.minimum(folded, 2 * pixels - folded) - 0.5, 0, pixels - 1)
 
 
-def blur(patches: _Floats, sigma: _Floats) -> _Floats:
+def blur(patches: Floats, sigma: Floats) -> Floats:
     """Blur each patch by its own Gaussian of ``sigma`` (n,) px; the weights are renormalised at the border."""
     axis = np.arange(patches.shape[-1])
     distance = axis[None, :] - axis[:, None]
     kernel = np.exp(-0.5 * (distance / np.maximum(sigma, 1e-3)[:, None, None]) ** 2)
     kernel /= kernel.sum(axis=2, keepdims=True)
-    blurred: _Floats = kernel @ patches @ kernel.transpose(0, 2, 1)
+    blurred: Floats = kernel @ patches @ kernel.transpose(0, 2, 1)
     return blurred
 
 
-def fill_holes(patches: _Floats) -> _Floats:
+def fill_holes(patches: Floats) -> Floats:
     """Fill NaN with the mean of the known pixels among 8 neighbours, ring by ring, as for patches of a survey.
 
     A patch must contain at least one known pixel.
     """
-    filled: _Floats = patches.copy()
+    filled: Floats = patches.copy()
     for _ in range(patches.shape[-1]):
         empty = np.isnan(filled)
         if not empty.any():
@@ -295,7 +290,7 @@ def _learning_rate(share: float, peak: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """All scores of the model card."""
+    """All scores of a training."""
 
     unseen: Accuracy
     """Patches from other seeds, surveyed anew."""
@@ -335,73 +330,6 @@ def score(net: TextureNet, samples: SurveyedPatches) -> Accuracy:
     return accuracy_of(labels, answer, len(TEXTURES))
 
 
-def model_card(settings: TrainSettings, evaluation: Evaluation, size: int) -> str:
-    """Return the text of the card; ``size`` is that of the ONNX file, bytes."""
-    network, copies = settings.network, evaluation.augmented_copies
-    side = f"{network.pixels} x {network.pixels}"
-    numbers = f"{evaluation.parameters:,} trained parameters; {size:,} bytes of ONNX, opset 17"
-    names = ", ".join(f"`{texture}`" for texture in TEXTURES)
-    ranges = "; ".join(f"`{form}` {low:g} to {high:g} m" for form, (low, high) in FORM_RELIEF.items())
-    ranges = ranges.replace(" to inf", " and more")
-    of = SurveyEffects()
-    return f"""# Texture network
-
-Classifies the heightmap of one tile as one of the four terrain forms of the BumpyPatch paper: {names}.
-
-- **Use**: `bumpymap map`. The texture and the z range determine the ride cost of a tile.
-- **Input**: `patches` (batch, 1, {network.pixels}, {network.pixels}) float32, the heights of a tile of
-  {settings.tile_size:g} m, its least-squares plane removed, holes filled from their neighbours, min-max scaled to
-  [0, 1]; `measures` (batch, {MEASURES}, 1, 1) float32: logarithms of the relief and of the standard error of the
-  pixels' heights, and whether that is known (feature version {FEATURE_VERSION}).
-- **Output**: `probability` (batch, {len(network.classes)}) float32, in the order above.
-- **Network**: four 3 x 3 convolutions with {", ".join(map(str, network.channels))} filters on {side} pixels,
-  averaged over the patch, and a hidden layer of {network.hidden} units; {numbers}.
-
-## Data
-
-{4 * settings.patches_per_texture:,} patches, {settings.patches_per_texture:,} per texture, made from Perlin noise, sine
-waves and Gaussian blur by `bumpymap.lab.terrains`. No survey was used. Every epoch draws heights and a survey
-anew for each: relief of {of.relief[0]:g} to {of.relief[1]:g} m, none at all for {of.level:.0%}; blur; points with
-{1000 * of.noise[0]:g} to {1000 * of.noise[1]:g} mm of noise, {of.points[0]:g} to {of.points[1]:g} a pixel; waves and
-strips of photogrammetry; holes. Every epoch adds {SHORT_WAVES:.0%} of short regular waves (0.4 to 0.75 m on a tile of
-3 m, in one direction or crossing) to the `high_noise` patches, which no form contains.
-
-**The label** is the form from which the ground was made if its true relief is one of that form, else the nearest form
-that has such relief: {ranges}.
-
-## Accuracy
-
-On {evaluation.unseen.count:,} **patches from unseen seeds: {percent(evaluation.unseen.right)}**
-
-{score_table(evaluation.unseen, TEXTURES)}
-
-On {copies.count:,} **training patches, surveyed anew: {percent(copies.right)}**
-(the paper's validation method; it reports 92.42 % for its own patches and augmentation, which are not these)
-
-{score_table(copies, TEXTURES)}
-
-Level ground with noise is `flat` in {percent(evaluation.level.right)} of {evaluation.level.count:,} patches. Short
-regular waves from unseen seeds get the right label in {percent(evaluation.short_waves.right)}.
-
-## Reproduce
-
-    pip install '.[learn]'
-    {settings.command} --out textures.onnx
-
-Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same bits on the same machine and libraries.
-
-## Limits
-
-- The accuracy is measured on *synthetic* ground. Real ground does not exactly match any form: the network
-  returns the form that a tile resembles most, and its probabilities show how clearly.
-- Ground whose relief is little more than the noise of its survey may be any form.
-- Crossing waves shorter than three pixels spread the points of a pixel as noise does, and may be `flat`.
-- Many filled holes smooth a patch; if coverage is low, rough ground may be classified as `low_noise`.
-- A single isolated step (a kerb, a ledge) is none of the four forms.
-- It works only for tiles of {settings.tile_size:g} m with {side} pixels; `bumpymap map` rejects it for others.
-"""
-
-
 def to_onnx(net: TextureNet, metadata: Mapping[str, object]) -> bytes:
     """Write a network in evaluation mode as an ONNX file, with ``metadata``.
 
@@ -428,10 +356,10 @@ UNSEEN_PER_TEXTURE = 2500
 def make_model(settings: TrainSettings, out: Path, progress: Callable[[EpochReport], None] | None = None) -> Evaluation:
     """Train a texture network, write it, and return its scores.
 
-    The settings determine every byte of the file on one machine. ``out``: the ONNX file. The model card is written next
-    to it (``.md``), and during training a checkpoint (``.checkpoint``), from which the same call resumes after an
-    interruption. ``progress`` is called with a report after every epoch. Raises OutputError if a file cannot be
-    written, UsageError if a checkpoint with other settings exists.
+    The settings determine every byte of the file on one machine. ``out``: the ONNX file. During training a checkpoint
+    (``.checkpoint``) lies next to it, from which the same call resumes after an interruption. ``progress`` is called
+    with a report after every epoch. Raises OutputError if a file cannot be written, UsageError if a checkpoint with
+    other settings exists.
     """
     with training_files(out) as checkpoint:
         net = train(settings, checkpoint, progress)
@@ -455,6 +383,5 @@ def make_model(settings: TrainSettings, out: Path, progress: Callable[[EpochRepo
             "confusion_altered_copies": evaluation.augmented_copies.confusion,
             "accuracy_short_waves": evaluation.short_waves.right,
         }
-        content = to_onnx(net, metadata)
-        write_model(out, content, model_card(settings, evaluation, len(content)), checkpoint)
+        write_model(out, to_onnx(net, metadata), checkpoint)
     return evaluation

@@ -62,10 +62,10 @@ from bumpymap.layers import (
     read_colours,
 )
 from bumpymap.views.fields import TIPS, code_tip, field_names, quoted, ride_tip, value_tip
+from bumpymap.views.light import CONTRAST, DETAIL, SATURATION, gain_of
 from bumpymap.views.page.map_page import write_map_page
 from bumpymap.views.page.page import NORTH_ARROW, render_text
 from bumpymap.views.page.site import Site
-from bumpymap.views.pictures.drawing import CONTRAST, DETAIL, SATURATION, bar_length, gain_of
 from bumpymap.views.words import seen_sizes
 
 if TYPE_CHECKING:  # of other jobs
@@ -620,7 +620,7 @@ def _print(box: tuple[float, ...], metres: float) -> dict[str, Any]:
     frame = np.minimum(1000 * sides / scale + 2 * _AROUND_MM, most)
     half = (frame * scale / 2000 / metres).tolist()
     x, y = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
-    segment = bar_length(_BAR_MM * scale / 1000)
+    segment = _bar_length(_BAR_MM * scale / 1000)
     return {
         **_sides((x - half[0], y - half[1], x + half[0], y + half[1]), 0.0),
         "page": page,
@@ -631,6 +631,12 @@ def _print(box: tuple[float, ...], metres: float) -> dict[str, Any]:
         "segment_mm": 1000 * segment / scale,
         "arrow": base64.b64encode(_ARROW.encode()).decode(),
     }
+
+
+def _bar_length(most: float) -> float:
+    """Return the largest of 1, 2 and 5 times a power of ten that is not above ``most``."""
+    power = 10.0 ** math.floor(math.log10(most))
+    return next(step for step in (10 * power, 5 * power, 2 * power, power) if step <= most * (1 + 1e-9))
 
 
 def _notes(record: Mapping[str, Any]) -> list[str]:

@@ -31,10 +31,10 @@ from bumpymap.layers import (
     outline_of,
     require_written,
 )
+from bumpymap.views.light import DETAIL
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import PHOTO_BUDGET, RELIEF_BUDGET, RELIEF_SIDE, jpeg, read_photo, read_pixels, shaded
 from bumpymap.views.page.tiles import ByteGrid, Spot, map_metres, packed
-from bumpymap.views.pictures.drawing import DETAIL
 from bumpymap.views.words import area, least_volume_text, number, share, shares, signed, volumes_text, whole
 
 NOT_COMPARED = 16

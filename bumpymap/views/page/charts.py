@@ -1,14 +1,11 @@
-"""Charts as inline SVG: one frame with two axes, in which bars, marks and lines are drawn.
+"""Charts as inline SVG: one frame with two axes, in which marks and lines are drawn.
 
 They hold numbers and words that stand here, nothing that a file or a user wrote: templates do not escape them.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
-from itertools import pairwise
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,15 +13,12 @@ from numpy.typing import NDArray
 
 from bumpymap.core import NORMAL_80, count_text
 from bumpymap.layers import OFF_COLOURS, UNKNOWN_COLOUR, RideScale
-from bumpymap.views.page.tiles import C_R_EDGES, SLOPE_EDGES
-from bumpymap.views.pictures.drawing import ticks
-from bumpymap.views.words import share, shares, whole
 
 if TYPE_CHECKING:
     from bumpymap.core import CheckResult
     from bumpymap.layers import MapOffset
 
-_LINES, _FAINT, _DARK, _ERROR, _MARK, _LINE = "#e2e4e8", "#6b7280", "#1f2937", "#9aa0a8", "#a3261b", "#2563a8"
+_LINES, _FAINT, _DARK, _ERROR, _LINE = "#e2e4e8", "#6b7280", "#1f2937", "#9aa0a8", "#2563a8"
 _STEPS = (1, 2, 5)
 """Times a power of ten: the numbers at an axis."""
 _ROOM, _LEAST_SPAN = 1.15, 4.0
@@ -49,10 +43,6 @@ class Chart:
     y_part: Part
     caption: str
     note: str = ""
-    axis: str = ""
-    """Head of the first column of ``rows``."""
-    rows: Sequence[tuple[str, ...]] = ()
-    """Table of its numbers."""
     is_narrow: bool = False
     """True if it must not grow as wide as the page."""
     elements: list[str] = field(default_factory=list)
@@ -82,20 +72,19 @@ class Chart:
         rows = zip(*(column.tolist() for column in columns), strict=True)
         self.path("".join(shape.format(*row) for row in rows), stroke, more)
 
-    def text(self, x: float, y: float, text: str, anchor: str = "middle", more: str = "") -> None:
+    def text(self, x: float, y: float, text: str, anchor: str = "middle") -> None:
         """Write a text."""
         place = " ".join(
             f'{key}="{at if isinstance(at, int) else format(at, ".1f")}"' for key, at in (("x", x), ("y", y))
         )
-        self.elements.append(f'<text {place} text-anchor="{anchor}"{more}>{text}</text>')
+        self.elements.append(f'<text {place} text-anchor="{anchor}">{text}</text>')
 
-    def names(self, below: str, beside: str = "", gap: int = 8) -> None:
-        """Write what the axes show; that of the lower one ``gap`` pixels above the foot of the chart."""
+    def names(self, below: str, beside: str) -> None:
+        """Write what the axes show."""
         left, right, top, foot = self.frame
-        self.text((left + right) / 2, self.height - gap, below)
-        if beside:
-            turned = f'transform="translate(16 {(top + foot) / 2}) rotate(-90)"'
-            self.elements.append(f'<text {turned} text-anchor="middle">{beside}</text>')
+        self.text((left + right) / 2, self.height - 8, below)
+        turned = f'transform="translate(16 {(top + foot) / 2}) rotate(-90)"'
+        self.elements.append(f'<text {turned} text-anchor="middle">{beside}</text>')
 
     def discs(
         self, x: NDArray[np.float64], y: NDArray[np.float64], offset: "MapOffset", order: NDArray[np.int64], size: float
@@ -109,71 +98,16 @@ class Chart:
         ]
 
 
-def c_r_chart(bins: NDArray[np.int64], limits: Sequence[float]) -> Chart:
-    """Return the histogram of the ride cost: bins of equal width on a logarithmic axis.
+def ticks(low: float, high: float, most: int) -> tuple[list[float], int]:
+    """Return round numbers from low to high (low < high), and the decimals that tell them apart.
 
-    ``bins`` int64 (n,): tiles in each bin of ``C_R_EDGES``; ``limits``: limits of the classes, rad/m.
+    They are multiples of 1, 2 or 5 times a power of ten, with at most ``most`` steps.
     """
-    used = np.flatnonzero(bins)
-    first, last = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, len(bins))
-    # the first and the last bin have no length of their own on the axis
-    edges = np.log10([C_R_EDGES[1] * 10 ** (-1 / 8), *C_R_EDGES[1:-1], C_R_EDGES[-2] * 10 ** (1 / 8)])
-    ticks = [(math.log10(value), f"{value:g}") for value in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)]
-    marks = [(math.log10(limit), f"{limit:g}") for limit in limits]
-    names = [f"{low:.3f} to {high:.3f}" for low, high in pairwise(C_R_EDGES)]
-    names[0], names[-1] = f"under {C_R_EDGES[1]:.3f}", f"over {C_R_EDGES[-2]:.3f}"
-    note = f"Red lines: limits of the classes, {', '.join(text for _, text in marks)} rad/m."
-    about = ("Ride cost C_r of the tiles", note, "C_r, rad/m", "ride")
-    return _histogram(about, bins[first:last], edges[first : last + 1], names[first:last], ticks, marks)
-
-
-def slope_chart(bins: NDArray[np.int64], limit: float) -> Chart:
-    """Return the histogram of the slope; ``limit`` is the steepest that the vehicle may drive, degrees."""
-    used = np.flatnonzero(bins)
-    last = max(int(used[-1]) + 1 if len(used) else 1, 4)
-    ticks = [(float(value), f"{value:g}°") for value in range(0, 91, 10)]
-    names = [f"{low:g} to {high:g}" for low, high in pairwise(SLOPE_EDGES[: last + 1])]
-    note = f"Red line: steepest slope for the vehicle, {limit:g} degrees."
-    about = ("Slope of the tiles", note, "slope, degrees", "slope")
-    return _histogram(about, bins[:last], SLOPE_EDGES[: last + 1], names, ticks, [(limit, f"{limit:g}°")])
-
-
-def _histogram(
-    about: tuple[str, str, str, str],
-    counts: NDArray[np.int64],
-    edges: NDArray[np.float64],
-    names: Sequence[str],
-    ticks: Iterable[tuple[float, str]],
-    marks: Iterable[tuple[float, str]],
-) -> Chart:
-    """Return a histogram with its numbers: caption, note, axis and key; bins with their names; labels and red lines."""
-    caption, note, axis, key = about
-    most, low, high = max(int(counts.max()), 1), edges[0], edges[-1]
-    rows = list(zip(names, map(whole, counts.tolist()), shares(counts.tolist()), strict=True))
-    title = f"{caption}: histogram, numbers in the table below it"
-    parts: tuple[Part, Part] = (lambda x: (x - low) / (high - low), lambda y: y / most)
-    chart = Chart(title, f"chart-{key}", 560, 210, (44, 12, 24, 40), *parts, caption, note, axis, rows)
-    left, right, top, foot = chart.frame
-    for part in (0.0, 0.5, 1.0):
-        (y,) = chart.y(np.array([most * part]))
-        chart.elements.append(f'<line x1="{left}" x2="{right}" y1="{y:.1f}" y2="{y:.1f}" stroke="#d8dbdf"/>')
-        label = share(most * part, max(int(counts.sum()), 1)) if part else "0"
-        chart.text(left - 6, y + 4, label, "end")
-    sides, tops = chart.x(edges), chart.y(counts.astype(np.float64))
-    for west, east, up in zip(sides[:-1], sides[1:], tops, strict=True):
-        size = f'width="{max(east - west - 1, 0.5):.1f}" height="{foot - up:.1f}"'
-        chart.elements.append(f'<rect x="{west + 0.5:.1f}" y="{up:.1f}" {size} fill="#3f6488"/>')
-    for lines, shown in ((False, ticks), (True, marks)):
-        for value, text in shown:
-            (x,) = chart.x(np.array([value]))
-            if lines and low <= value <= high:
-                place = f'x1="{x:.1f}" x2="{x:.1f}" y1="{top - 6}" y2="{foot}"'
-                chart.elements.append(f'<line {place} stroke="{_MARK}"/>')
-                chart.text(x, top - 10, text, more=f' fill="{_MARK}"')
-            elif low <= value <= high:
-                chart.text(x, foot + 16, text)
-    chart.names(axis, gap=6)
-    return chart
+    least = (high - low) / most
+    power = 10.0 ** math.floor(math.log10(least))
+    step = next(step for step in (power, 2 * power, 5 * power, 10 * power) if step >= least * (1 - 1e-9))
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [number * step for number in range(first, last + 1)], max(0, -math.floor(math.log10(step) + 1e-9))
 
 
 _SIDES = (64, 12, 12, 48)
@@ -344,33 +278,3 @@ def profile_places(profile: Mapping[str, NDArray[np.float64]]) -> dict[str, Any]
         texts.append(f"{along:,.0f} m along the way · {height} · {level}")
     keys = (("along", "distance_m"), ("east", "east"), ("north", "north"))
     return {name: profile[key].round(1).tolist() for name, key in keys} | {"texts": texts}
-
-
-_COUNTRIES = Path(__file__).parent / "data" / "countries.npz"
-"""Outlines of all countries, from Natural Earth (public domain); docs/models/countries.py makes it."""
-
-
-@cache
-def _countries() -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return corners of lands, (n, 2) longitude and latitude, and where each land begins."""
-    with np.load(_COUNTRIES) as file:
-        return np.cumsum(file["steps"].T, axis=0, dtype=np.int64) * file["step_deg"], file["starts"]
-
-
-def land_path(bounds: tuple[float, float, float, float], scale: tuple[float, float]) -> str:
-    """Return the path of the countries' outlines in a map, pixels right and down from its north-west corner.
-
-    ``bounds``: west, south, east and north, degrees; ``scale``: pixels for a degree of longitude and of latitude.
-    """
-    west, south, east, north = bounds
-    corners, starts = _countries()
-    corners = (corners - (west, north)) * (scale[0], -scale[1])
-    size = np.array([(east - west) * scale[0], (north - south) * scale[1]])
-    lows, highs = np.minimum.reduceat(corners, starts), np.maximum.reduceat(corners, starts)
-    lands, words = np.split(corners, starts[1:]), ""
-    for at in np.flatnonzero(((highs >= 0) & (lows <= size)).all(axis=1)).tolist():
-        # far beyond the map the course of a line does not matter
-        drawn = np.rint(np.clip(lands[at], -size, 2 * size)).astype(int)
-        drawn = drawn[np.append(True, (np.diff(drawn, axis=0) != 0).any(axis=1))]
-        words += "M" + "L".join(f"{right} {down}" for right, down in drawn.tolist()) + "Z"
-    return words

@@ -31,7 +31,6 @@ from bumpymap.layers import (
     BARRED_COLOURS,
     CLASS_COLOURS,
     CLOSED_COLOUR,
-    IRI_NOTE,
     ISLAND_SHARE,
     MANIFEST_NAME,
     OBJECT_COLOURS,
@@ -47,11 +46,11 @@ from bumpymap.layers import (
     require_written,
 )
 from bumpymap.views.fields import field_names
+from bumpymap.views.light import DETAIL
 from bumpymap.views.page.charts import along_chart, drive_chart, profile_chart
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import RAMP, WAY_FIGURES, DrawnWay, Site, page_header, read_ways
 from bumpymap.views.page.tiles import UNKNOWN_FROM
-from bumpymap.views.pictures.drawing import DETAIL
 from bumpymap.views.words import (
     DASH,
     PERCENT,
@@ -381,7 +380,7 @@ def _way_rows(ways: Sequence[DrawnWay]) -> list[Row]:
             shown, name = [number(value, decimals) for value in values], field_names("route.geojson")[key]
             if key == "p_arrives":
                 shown = [chance_text(value, 0, PERCENT) if isinstance(value, int | float) else DASH for value in values]
-            rows.append(({"text": name, "meaning": IRI_NOTE} if key == "iri" else name, *shown))
+            rows.append((name, *shown))
             if key == "p_arrives":
                 rows.append(("the chance holds", *(SeenSizes.of(way.figures).condition for way in ways)))
     return rows

@@ -52,10 +52,9 @@ from bumpymap.layers import (
     read_averaged,
     read_colours,
 )
-from bumpymap.views.page.charts import Chart, c_r_chart, profile_places, slope_chart
+from bumpymap.views.light import LEVEL, grey_of, hard_light, levelled, light_of
+from bumpymap.views.page.charts import profile_places
 from bumpymap.views.page.tiles import (
-    EVEN,
-    HEADING_STEP,
     NO_POINTS,
     STEPS,
     UNKNOWN_FROM,
@@ -63,11 +62,9 @@ from bumpymap.views.page.tiles import (
     PageTiles,
     Spot,
     block_means,
-    heading_codes,
     map_metres,
     packed,
 )
-from bumpymap.views.pictures.drawing import LEVEL, grey_of, hard_light, levelled, light_of
 
 _STRIP_PIXELS = 16_000_000
 """Most pixels of obstacle.tif to read at a time."""
@@ -268,7 +265,7 @@ class DrawnWay:
 
 WAY_FIGURES = (
     *(("length_m", 0), ("cost_m", 0), ("detour", 2), ("seconds", 0), ("c_r_mean", 3), ("c_r_line", 3)),
-    *(("c_r_max", 3), ("iri", 1), ("p_arrives", 2), ("unknown_m", 0), ("obstacle_m", 1), ("tight_turns_deg", 0)),
+    *(("c_r_max", 3), ("p_arrives", 2), ("unknown_m", 0), ("obstacle_m", 1), ("tight_turns_deg", 0)),
     *(("climb_m", 1), ("descent_m", 1)),
 )
 """Figures of a way on a page, properties of its line, with their decimals."""
@@ -378,8 +375,6 @@ class Site:
     """The colours of the points, a data URI; None if they have none."""
     still: str
     """The ride cost in the light of the photo or the relief, a data URI: for readers and printers without scripts."""
-    headings: str | None
-    """Packed `heading_codes`; None where there are none, a pixel is more than one tile, or they are too many."""
     degrees: list[list[float]] | None
     """Longitude and latitude of the corners of the map: north-west, north-east, south-west, south-east.
 
@@ -434,7 +429,7 @@ class Site:
         photo = read_photo(colours, spot) if colours.is_file() else None
         picture = None if photo is None else jpeg(photo, PHOTO_BUDGET)
         side = _SIDE
-        wait(MapFile.OBSTACLE, MapFile.HEADINGS)
+        wait(MapFile.OBSTACLE)
         while True:
             objects = object_grid(folder, tiles, side)
             text = packed(objects)
@@ -442,12 +437,8 @@ class Site:
                 break
             side //= 2
         still = _still(tiles, RideScale.of(record), light if photo is None else photo)
-        codes = heading_codes(folder, tiles.c_r) if spot.step == 1 else None
-        headings = None if codes is None else packed(codes)
-        if headings and taken + len(text) + len(relief) + len(headings) > _BUDGET:
-            headings = None
         degrees = None if record["crs"] is None else _corners(record["crs"]["wkt"], spot)
-        shown = (tiles, grids, objects, text, relief, picture, still, headings, degrees)
+        shown = (tiles, grids, objects, text, relief, picture, still, degrees)
         return cls(str(record["survey"]["name"]), record, summary, *shown, ways, stretches)
 
     @property
@@ -525,11 +516,6 @@ class Site:
         overlays += [("ways", "Way", True)] if self.ways else []
         return [*overlays, ("stretches", "Real drives", True)] if self.stretches else overlays
 
-    def charts(self) -> tuple[Chart, Chart]:
-        """Return the histograms of the ride cost and of the slope."""
-        ride = c_r_chart(self.tiles.c_r_bins, class_limits(self.record))
-        return ride, slope_chart(self.tiles.slope_bins, self.record["cost"]["slope_limit_deg"])
-
     def map_record(self) -> dict[str, Any]:
         """Return what the script of the page needs, as plain JSON."""
         return {
@@ -541,7 +527,6 @@ class Site:
             "grids": [grid.record() for grid in self.grids],
             "ramps": self.ramps,
             "objects": {"rows": self.objects.shape[0], "cols": self.objects.shape[1], "codes": self.packed_objects},
-            "headings": self.headings and {"step": HEADING_STEP, "even": EVEN, "codes": self.headings},
             "relief": self.relief,
             "photo": self.photo,
             "stretches": list(self.stretches),

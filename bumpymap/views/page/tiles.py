@@ -1,4 +1,4 @@
-"""The tiles of a map as a page shows them: small grids in which the worst tile decides, histograms, as base 64."""
+"""The tiles of a map as a page shows them: small grids in which the worst tile decides, as base 64."""
 
 import base64
 import math
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from pyproj import Transformer
 
 from bumpymap.core import (
-    AXES_DEG,
     CLASS_NAMES,
     FREE,
     NO_CLASS,
@@ -24,7 +23,7 @@ from bumpymap.core import (
     Reason,
     stated_crs,
 )
-from bumpymap.layers import UNKNOWN_OBJECT, MapFile, first_island, open_layer, read_tiles
+from bumpymap.layers import UNKNOWN_OBJECT, MapFile, first_island, read_tiles
 
 NOT_KNOWN = 255
 """Byte where a value is not known."""
@@ -109,36 +108,10 @@ def packed(codes: NDArray[np.uint8]) -> str:
     return base64.b64encode(zlib.compress(np.ascontiguousarray(codes).tobytes(), 6)).decode()
 
 
-HEADING_STEP, EVEN = 0.05, 127
-"""Step of the bytes of headings, and the byte of a heading that is as rough as the tile."""
-
-
-def heading_codes(folder: Path, c_r: NDArray[np.float32]) -> NDArray[np.uint8] | None:
-    """Read C_r along each of ``AXES_DEG`` over that of the tile, (8, rows, cols), in steps of its logarithm.
-
-    ``c_r`` (rows, cols): rad/m, NaN where unknown. ``NOT_KNOWN`` where one of both is; None: the map has no headings.
-    """
-    if not (folder / MapFile.HEADINGS).is_file():
-        return None
-    codes = np.full((len(AXES_DEG), *c_r.shape), NOT_KNOWN, np.uint8)
-    with open_layer(folder / MapFile.HEADINGS) as file:
-        for band, out in enumerate(codes, 1):
-            found = file.read(band)
-            known = (found > 0.0) & (c_r > 0.0)
-            steps = np.rint(np.log(found[known] / c_r[known]) / HEADING_STEP)
-            out[known] = np.clip(steps + EVEN, 0, NOT_KNOWN - 1).astype(np.uint8)
-    codes[:, (codes == NOT_KNOWN).any(axis=0)] = NOT_KNOWN
-    return codes
-
-
 UNKNOWN_FROM = 16
 """``ground`` of an unknown tile is this plus its `Reason`."""
 NO_POINTS = 255
 """``ground`` and ``barred`` where no tile holds a point."""
-C_R_EDGES = np.concatenate([[0.0], np.geomspace(0.01, 10.0, 25), [np.inf]])
-"""Limits of the bins of the ride cost, rad/m: eight for each factor of ten."""
-SLOPE_EDGES = np.arange(0.0, 92.5, 2.5)
-"""Limits of the bins of the slope, degrees."""
 _NUMBERS = ("c_r", "p_fail", "slope", "obstacle")
 _AGAIN = "Map the survey again"
 
@@ -262,10 +235,6 @@ class PageTiles:
     slope: NDArray[np.float32]
     cost: NDArray[np.float32]
     """Factor on distance, the largest; NaN where a tile is not passable."""
-    c_r_bins: NDArray[np.int64]
-    """Tiles in each bin of ``C_R_EDGES``."""
-    slope_bins: NDArray[np.int64]
-    """Tiles in each bin of ``SLOPE_EDGES``: unknown tiles that have a slope count too."""
     free: NDArray[np.int64]
     """(4,) passable tiles of each class."""
     islands: NDArray[np.bool_]
@@ -283,7 +252,6 @@ class PageTiles:
         known = np.zeros(shape, np.uint16 if spot.step < 256 else np.uint32)
         zone = np.zeros(shape, np.int32)
         numbers = {name: np.full(shape, -1.0, np.float32) for name in (*_NUMBERS, "cost")}
-        bins = {"c_r": np.zeros(len(C_R_EDGES) - 1, np.int64), "slope": np.zeros(len(SLOPE_EDGES) - 1, np.int64)}
         free = np.zeros(len(CLASS_NAMES), np.int64)
         names = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
         ride, fail, drive, slope = (float(record["cost"][name]) for name in names)
@@ -301,8 +269,6 @@ class PageTiles:
             found["cost"] = rule.cost(found["c_r"].astype(np.float64), rule.hazard(found["p_fail"])).astype(np.float32)
             for name, canvas in numbers.items():
                 np.fmax.at(canvas, place, found[name])
-            for name, edges in (("c_r", C_R_EDGES), ("slope", SLOPE_EDGES)):
-                bins[name] += np.histogram(found[name][np.isfinite(found[name])], edges)[0]
         empty = known == 0
         down, right = (  # tiles along the pixels of the page: fewer at the south and east edges
             np.minimum(spot.step, tiles - spot.step * np.arange(pixels))
@@ -327,8 +293,6 @@ class PageTiles:
             barred,
             objects,
             **numbers,
-            c_r_bins=bins["c_r"],
-            slope_bins=bins["slope"],
             free=free,
             islands=islands,
         )

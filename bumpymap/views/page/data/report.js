@@ -6,7 +6,6 @@
   const PAPER_MM = [178, 150];
   const PAPER_DENSE = 3;
   const MM = 96 / 25.4;
-  const AXES = ["N-S", "NNE-SSW", "NE-SW", "ENE-WSW", "E-W", "ESE-WNW", "SE-NW", "SSE-NNW"];
   const MUTED = [128, 128, 128];
   const [STEP, REACH, BAR] = [1.6, 14, 52];
   /** Smallest side of a tile on the screen with which its obstacles are drawn: a forest of them hides the ground. */
@@ -61,12 +60,12 @@
   class ReportMap {
     static async of(figure, about) {
       // A page of what has changed has neither bars nor objects.
-      const [ground, barred, islands, objects, relief, photo, headings, ...values] = await Promise.all([
+      const [ground, barred, islands, objects, relief, photo, ...values] = await Promise.all([
         unpack(about.ground), about.barred && unpack(about.barred), about.islands && unpack(about.islands),
-        about.objects && unpack(about.objects.codes), about.relief && picture(about.relief), about.photo && picture(about.photo), about.headings && unpack(about.headings.codes),
+        about.objects && unpack(about.objects.codes), about.relief && picture(about.relief), about.photo && picture(about.photo),
         ...about.grids.map((grid) => unpack(grid.codes)),
       ]);
-      return new ReportMap(figure, about, { ground, barred, islands, objects, relief, photo, headings, values });
+      return new ReportMap(figure, about, { ground, barred, islands, objects, relief, photo, values });
     }
 
     constructor(figure, about, content) {
@@ -388,8 +387,6 @@
           const sign = grid.scale === "root" && value > 0 ? "+" : "";
           words.push(`${grid.label} ${sign}${grouped(value, grid.decimals).replace(/^-(?=[0.]*$)/, "")}${grid.unit === "°" ? "°" : grid.unit && ` ${grid.unit}`}`);
         });
-        const rides = this.ridesAt(at);
-        if (rides) words.push(this.headingWords(rides));
         const bar = this.barred?.[at];
         if (this.barred && code < codes.unknownFrom) {
           if (bar === codes.littleSeen) words.push(`not known whether the vehicle can cross it: ${codes.barred[bar]}`);
@@ -400,7 +397,6 @@
       }
       words.push(`E ${grouped((about.west + right) / about.unit, 1)}, N ${grouped((about.north - down) / about.unit, 1)}`, ...this.degreesAt(right, down));
       this.follow(right, down);
-      if (this.headings) this.drawRose(code === NONE ? null : this.ridesAt(at));
       const stretch = this.shows("stretches") && this.stretchAt(right, down);
       if (stretch) words.push(stretch.text);
       this.readout.textContent = words.join(" · ");
@@ -416,34 +412,6 @@
         return (nw + x * (ne - nw)) * (1 - y) + (sw + x * (se - sw)) * y;
       });
       return [`${Math.abs(lat).toFixed(6)}° ${lat < 0 ? "S" : "N"}, ${Math.abs(lon).toFixed(6)}° ${lon < 0 ? "W" : "E"}`];
-    }
-
-    /** C_r along eight axes and that of the tile, rad/m; null where they are not known. */
-    ridesAt(at) {
-      const { headings: about, rows, cols, grids } = this.about;
-      const mean = this.valuesOf("c_r")?.[at];
-      if (!this.headings || mean === NONE || this.headings[at] === NONE) return null;
-      const { low, step } = grids.find((grid) => grid.key === "c_r");
-      const own = Math.exp(low + step * mean);
-      const axes = AXES.map((_, axis) => own * Math.exp(about.step * (this.headings[axis * rows * cols + at] - about.even)));
-      return { own, axes, least: Math.min(...axes), most: Math.max(...axes) };
-    }
-
-    headingWords({ axes, least, most }) {
-      const name = (value) => `${AXES[axes.indexOf(value)]} (${grouped(value, 3)})`;
-      return `calmest along ${name(least)}, roughest along ${name(most)}`;
-    }
-
-    drawRose(rides) {
-      const rose = this.figure.querySelector(".rose");
-      rose.toggleAttribute("hidden", !rides);
-      if (!rides) return;
-      const points = [...rides.axes, ...rides.axes].map((value, at) => {
-        const [turn, far] = [(at * Math.PI) / AXES.length, (48 * value) / rides.most];
-        return `${(52 + far * Math.sin(turn)).toFixed(1)},${(52 - far * Math.cos(turn)).toFixed(1)}`;
-      });
-      rose.querySelector("polygon").setAttribute("points", points.join(" "));
-      rose.querySelector(".mean").setAttribute("r", ((48 * rides.own) / rides.most).toFixed(1));
     }
 
     /** The stretch of a drive whose mark lies there, the nearest one. */

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 from bumpymap.core import CLASSES, ClassedSectors, PolarCells, PolarSettings, Scan, cell_numbers
 from bumpymap.layers import OBSTACLE_POINT, OTHER_POINT, SCAN_CLASS_NAMES, SCAN_COLOURS, class_index, point_styles
-from bumpymap.views.pictures.drawing import font, shortened
 
 SIDE = 960
 """Side of the scene, pixels."""
@@ -126,7 +125,7 @@ def _draw_distances(draw: ImageDraw.ImageDraw, range_m: float, step: float) -> N
         # On the diagonal, forward and to the right, clear of the robot and of the picture's edge.
         out = number * step * SIDE / 2 / range_m * math.sqrt(0.5)
         corner = (SIDE / 2 + out + 4, SIDE / 2 - out)
-        draw.text(corner, f"{number * step:g} m", _INK, font(_SMALL_PX), "lm", stroke_width=2, stroke_fill=_PAPER)
+        draw.text(corner, f"{number * step:g} m", _INK, _font(_SMALL_PX), "lm", stroke_width=2, stroke_fill=_PAPER)
 
 
 def _draw_robot(draw: ImageDraw.ImageDraw, column: int, row: int) -> None:
@@ -146,16 +145,16 @@ def _draw_legend(draw: ImageDraw.ImageDraw, scan: Scan, classed: ClassedSectors,
     ]
     left, row = SIDE + 16, 24
     text = left + _SWATCH_PX + 14
-    draw.text((left, row), shortened(scan.name, 24), _INK, font(_TEXT_PX), "lm")
+    draw.text((left, row), _shortened(scan.name, 24), _INK, _font(_TEXT_PX), "lm")
     row += 36
     for colour, (name, count) in zip(SCAN_COLOURS.tolist(), entries, strict=True):
         draw.rectangle((left, row, left + _SWATCH_PX, row + _SWATCH_PX), tuple(colour))
-        draw.text((text, row + 7), name, _INK, font(_TEXT_PX), "lm")
-        draw.text((text, row + 30), count, _FAINT_INK, font(_SMALL_PX), "lm")
+        draw.text((text, row + 7), name, _INK, _font(_TEXT_PX), "lm")
+        draw.text((text, row + 30), count, _FAINT_INK, _font(_SMALL_PX), "lm")
         row += 56
     row += 30
     _draw_robot(draw, left + _SWATCH_PX // 2, row)
-    draw.text((text, row), "robot; forward is up", _INK, font(_TEXT_PX), "lm")
+    draw.text((text, row), "robot; forward is up", _INK, _font(_TEXT_PX), "lm")
     lines = [
         f"range rings every {step:g} m",
         f"whole frame: {len(scan.points):,} points,",
@@ -163,4 +162,18 @@ def _draw_legend(draw: ImageDraw.ImageDraw, scan: Scan, classed: ClassedSectors,
     ]
     if not len(stack.zone):
         lines += ["", "no sector holds", f"more than {stack.settings.least_points} points"]
-    draw.multiline_text((left, row + 36), "\n".join(lines), _INK, font(_SMALL_PX), spacing=10)
+    draw.multiline_text((left, row + 36), "\n".join(lines), _INK, _font(_SMALL_PX), spacing=10)
+
+
+@lru_cache(maxsize=16)
+def _font(size: int) -> ImageFont.FreeTypeFont:
+    """Return Pillow's own font with Pillow's own layout engine, so that pixels are the same on every machine."""
+    found = ImageFont.load_default(size)
+    if not isinstance(found, ImageFont.FreeTypeFont):
+        raise TypeError("this Pillow was built without FreeType")
+    return found.font_variant(layout_engine=ImageFont.Layout.BASIC)
+
+
+def _shortened(name: str, most: int) -> str:
+    """Return a name, cut to at most ``most`` characters."""
+    return name if len(name) <= most else f"{name[: most - 3]}..."

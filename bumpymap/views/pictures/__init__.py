@@ -1,1 +1,0 @@
-"""Draw pictures: ways over a map, classified scans."""
