@@ -1,4 +1,4 @@
-"""The calibration of a vehicle, made by ``bumpymap calibrate``: its ride cost on each kind of ground; how it is found."""
+"""The calibration of a vehicle, by ``bumpymap calibrate``: its ride cost on each kind of ground; how to find it."""
 
 import hashlib
 import json

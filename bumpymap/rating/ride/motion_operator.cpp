@@ -38,7 +38,7 @@ struct RideOperator {
     PitchSamples samples, axes;
     Array<const std::int32_t, 3> wheel_node, belly_node;
     Array<const float, 3> wheel_weight, belly_weight;
-    double wheelbase, track, belly_half, clearance;
+    double wheelbase, belly_half, clearance;
 };
 
 struct MotionOperator {
@@ -179,15 +179,15 @@ Means sample_means(const PitchSamples& samples, Index k, const std::vector<Heigh
     return means;
 }
 
-// Root mean squares of pitch, roll and twist, rad; and how far the ground reaches to the belly.
-std::array<Numbers, 4> pose_numbers(const RideOperator& vehicle, const Groups& groups) {
+// Root mean squares of pitch and twist, rad; and how far the ground reaches to the belly.
+std::array<Numbers, 3> pose_numbers(const RideOperator& vehicle, const Groups& groups) {
     const auto read = [](const std::vector<Heights>& heights, const std::int32_t* node, const float* weight, int lane) {
         double total = 0.0;
         for (int corner = 0; corner < 4; ++corner) total += weight[corner] * heights[node[corner]][lane];
         return total;
     };
-    std::array<Numbers, 4> found{};
-    auto& [pitches, rolls, twists, strike] = found;
+    std::array<Numbers, 3> found{};
+    auto& [pitches, twists, strike] = found;
     const Index number = vehicle.wheel_node.shape[0];
     for (Index p = 0; p < number; ++p) {
         for (int lane = 0; lane < group; ++lane) {
@@ -196,10 +196,8 @@ std::array<Numbers, 4> pose_numbers(const RideOperator& vehicle, const Groups& g
             };
             const double fl = wheel(0), fr = wheel(1), rl = wheel(2), rr = wheel(3);
             const double pitch = (fl + fr - rl - rr) / (2.0 * vehicle.wheelbase);
-            const double roll = (fl - fr + rl - rr) / (2.0 * vehicle.track);
             const double twist = (fl - fr - rl + rr) / (2.0 * vehicle.wheelbase);
             pitches[lane] += pitch * pitch;
-            rolls[lane] += roll * roll;
             twists[lane] += twist * twist;
             const double level = (fl + fr + rl + rr) / 4.0;
             for (int k = 0; k < 3; ++k) {
@@ -210,7 +208,7 @@ std::array<Numbers, 4> pose_numbers(const RideOperator& vehicle, const Groups& g
             }
         }
     }
-    for (Numbers* squares : {&pitches, &rolls, &twists}) {
+    for (Numbers* squares : {&pitches, &twists}) {
         for (double& square : *squares) square = std::sqrt(square / static_cast<double>(number));
     }
     return found;
@@ -219,8 +217,8 @@ std::array<Numbers, 4> pose_numbers(const RideOperator& vehicle, const Groups& g
 // Rolls a vehicle over patches, plane-removed relief without holes, m; others than the known ones keep what `rides`
 // holds.
 //
-// `rides` (tiles, 6 or 14) is filled: mean and root mean square of the pitch change [rad/m]; root mean square of pitch,
-// roll and twist [rad]; reach of the ground towards the belly (1: it touches); mean pitch change by axis.
+// `rides` (tiles, 5 or 13) is filled: mean and root mean square of the pitch change [rad/m]; root mean square of pitch
+// and twist [rad]; reach of the ground towards the belly (1: it touches); mean pitch change by axis.
 void ride_patches(Array<const bool> known, Array<const float, 3> relief, RideOperator vehicle, Array<double, 2> rides) {
     Groups groups(known, relief, vehicle.fine, vehicle.wheel);
     while (groups.next()) {
@@ -310,7 +308,7 @@ BUMPY_RECORD(bumpy::WheelShape, starts, row, col, rise)
 BUMPY_RECORD(bumpy::PitchSamples, starts, node, weight, bounds)
 BUMPY_RECORD(
     bumpy::RideOperator, fine, wheel, samples, axes, wheel_node, wheel_weight, belly_node, belly_weight, wheelbase,
-    track, belly_half, clearance)
+    belly_half, clearance)
 BUMPY_RECORD(bumpy::MotionOperator, fine, wheel, samples)
 
 BUMPY_LOOPS(motion_operator, ride_patches, move_over_patches, roll_along)

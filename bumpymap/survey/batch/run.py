@@ -32,7 +32,6 @@ from bumpymap.core import (
     missing_resource,
     path_of_call,
     refuse_faults,
-    refuse_unknown,
     refused_write,
     remove_empty_on_error,
     short_repr,
@@ -71,6 +70,11 @@ class MapTask:
     """Most characters of the picture of the map."""
     started_by: Mapping[str, Any] = field(default_factory=dict)
     """The batch, for whoever finds the folder locked."""
+
+    @property
+    def survey(self) -> str:
+        """Its files and folders."""
+        return " ".join(map(str, self.config.surveys))
 
 
 TaskEnd: TypeAlias = tuple[SurveyRow, SurveyView, str]
@@ -123,8 +127,7 @@ def _mapped(task: MapTask) -> SurveyRow:
         require_known(result, task.config)
     except TooUnknownError as error:
         message, status = f"{message} {error}".strip(), "incomplete"
-    survey = " ".join(map(str, task.config.surveys))
-    return SurveyRow(task.name, status, message, survey=survey, **map_facts(out))
+    return SurveyRow(task.name, status, message, survey=task.survey, **map_facts(out))
 
 
 def _why_failed(error: Exception) -> str:
@@ -138,8 +141,7 @@ def _why_failed(error: Exception) -> str:
 
 
 def _failed(task: MapTask, message: str, seconds: float) -> SurveyRow:
-    survey = " ".join(map(str, task.config.surveys))
-    return SurveyRow(task.name, "failed", message, seconds=round(seconds, 3), survey=survey)
+    return SurveyRow(task.name, "failed", message, seconds=round(seconds, 3), survey=task.survey)
 
 
 _MODULE = "bumpymap.survey.batch.run"
@@ -172,17 +174,11 @@ _EARLIER = "the batch has not come to it; it has layers of an earlier start, not
 
 
 class Results:
-    """The rows of a batch, and its summary and page in a folder.
+    """The rows of a batch; ``folder`` gets summary.csv, summary.parquet, collection.json and index.html."""
 
-    ``folder``: gets summary.csv, summary.parquet, collection.json and index.html; ``title``: of the page.
-    """
-
-    def __init__(self, tasks: Sequence[MapTask], folder: Path, title: str) -> None:
-        self._tasks, self._folder, self._title = {task.name: task for task in tasks}, folder, title
-        self._rows = {
-            task.name: SurveyRow(task.name, "not reached", _WAITING, survey=str(task.config.surveys[0]))
-            for task in tasks
-        }
+    def __init__(self, tasks: Sequence[MapTask], folder: Path) -> None:
+        self._tasks, self._folder = {task.name: task for task in tasks}, folder
+        self._rows = {task.name: SurveyRow(task.name, "not reached", _WAITING, survey=task.survey) for task in tasks}
         self._views: dict[str, SurveyView] = {}
         self._written = monotonic()
 
@@ -216,9 +212,9 @@ class Results:
         self._write()
 
     def _write(self, when: str = "") -> None:
-        note = f"Written {datetime.now(UTC):%Y-%m-%d %H:%M} UTC{when}"
-        page = index_page(self.rows, self._views, BATCH_LINKS, self._title, note)
-        write_batch_summary(self.rows, self._folder, self._title, page)
+        note, title = f"Written {datetime.now(UTC):%Y-%m-%d %H:%M} UTC{when}", self._folder.absolute().name
+        page = index_page(self.rows, self._views, BATCH_LINKS, title, note)
+        write_batch_summary(self.rows, self._folder, title, page)
 
 
 _MOST_THUMBNAIL, _MOST_THUMBNAILS = 40_000, 1_200_000
@@ -276,7 +272,7 @@ def run_batch(
     if begin is not None:
         begin(len(surveys))
     with remove_empty_on_error(folder), locked(folder):
-        results = Results(tasks, folder, folder.absolute().name)
+        results = Results(tasks, folder)
         try:
             with closing(map_tasks(tasks, jobs)) as ends:
                 for found, view, trace in ends:
@@ -380,11 +376,11 @@ def map_batch(
     >>> night.exit_code
     4
     """
-    known = BatchSettings.__annotations__
-    refuse_unknown(settings, known, "map_batch")
-    given: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}
-    own = {name: given.pop(name) for name in ("survey_per", "jobs") if name in given}
+    given: dict[str, Any] = {**settings}
+    own = {name: given.pop(name) for name in ("survey_per", "jobs") if given.get(name) is not None}
     if report is not None and not callable(report):
         raise UsageError(f"report is {short_repr(report)}; it must be a function that takes a row")
     places = Path(path_of_call("source", source)), Path(path_of_call("out", out))
-    return run_batch(BatchConfig(*places, map_settings(given, "map_batch", known), **own), report)
+    return run_batch(
+        BatchConfig(*places, map_settings(given, "map_batch", BatchSettings.__annotations__), **own), report
+    )
