@@ -283,29 +283,13 @@ def _sums(columns: Floats, weight: Floats, common: Floats, square: NDArray[np.in
     return (columns.T * weight) @ columns - (mixed / whole) @ mixed.T, mixed, whole
 
 
-@dataclass(frozen=True, slots=True)
-class HeldOutScore:
-    """How well left-out stretches are predicted."""
-
-    parts: int
-    """Number of parts that were left out in turn."""
-    error: float
-    """Median of abs(predicted / measured - 1)."""
-    median_ratio: float
-    """Median of predicted / measured."""
-    log_score: Floats
-    """(parts,) sum of the log probability densities of the stretches of each part, apart from a constant."""
-
-    def gain_over(self, other: "HeldOutScore") -> tuple[float, float]:
-        """Return how much better this one predicts, and the standard error of that by the scatter of the parts."""
-        gain = self.log_score - other.log_score
-        return float(gain.sum()), float(np.sqrt(len(gain)) * gain.std(ddof=1))
-
-
-def hold_out(evidence: DriveEvidence, prior: DrivePrior, line_sd: float, *, moved: bool = True) -> HeldOutScore:
+def hold_out(
+    evidence: DriveEvidence, prior: DrivePrior, line_sd: float, *, moved: bool = True
+) -> tuple[Floats, Floats]:
     """Predict each part from the others; not ``moved``: by the calibration as it is.
 
-    ``line_sd``: of `MovePosterior`, what is expected of errors.
+    ``line_sd``: of `MovePosterior`, what is expected of errors. Returns ln of measured over predicted C_r (n,), and for
+    each part the sum of the log probability densities of its stretches, apart from a constant, (parts,).
     """
     predicted = respond(prior.mean, evidence.log_c_r, prior)[0]
     for part in np.unique(evidence.fold) if moved else ():
@@ -315,9 +299,13 @@ def hold_out(evidence: DriveEvidence, prior: DrivePrior, line_sd: float, *, move
     left = evidence.log_measured - predicted
     variance = TAIL_SCALE * (evidence.own_variance + evidence.map_sd**2 + line_sd**2)
     score = -0.5 * (FREEDOM + 1.0) * np.log1p(left**2 / (FREEDOM * variance))
-    parts = int(evidence.fold.max()) + 1
-    by_part = np.asarray(np.bincount(evidence.fold, score, parts), np.float64)
-    return HeldOutScore(parts, float(np.median(np.abs(np.expm1(-left)))), float(np.exp(-np.median(left))), by_part)
+    return left, np.asarray(np.bincount(evidence.fold, score), np.float64)
+
+
+def _gain(after: Floats, before: Floats) -> tuple[float, float]:
+    """Return how much better left-out parts (n,) are predicted, and the standard error of that by their scatter."""
+    gain = after - before
+    return float(gain.sum()), float(np.sqrt(len(gain)) * gain.std(ddof=1))
 
 
 _DIGITS = 10
@@ -534,29 +522,29 @@ def update_from_drives(
         sd=(_SHIFT_SD, _TILT_SD),
         log_floor=math.log(floor) if floor else -math.inf,
     )
-    line_sd = fit_move(evidence, plain).line_sd
-    prior, after = _best_prior(evidence, plain, line_sd)
-    before = hold_out(evidence, plain, line_sd, moved=False)
-    update = _described(calibration, evidence, lost, prior, (before, after))
+    update = _update(calibration, evidence, lost, plain)
     if not update.gain[0] > _LEAST_GAIN * update.gain[1]:
         raise BadInputError(_agree(update))
     found = update.posterior
     shift, tilt = found.mean[:2].tolist()
-    move = LogMove(prior.middle, shift, tilt, found.covariance[:2, :2], max(1.0, found.map_scale))
+    move = LogMove(update.prior.middle, shift, tilt, found.covariance[:2, :2], max(1.0, found.map_scale))
     moved = moved_calibration(calibration, move, update.to_record())
     if update.floor[0] != update.floor[1]:
         moved = replace(moved, vehicle=moved.vehicle | {"floor": {"c_r_radpm": update.floor[1]}})
     return moved, update
 
 
-def _best_prior(evidence: DriveEvidence, plain: DrivePrior, line_sd: float) -> tuple[DrivePrior, HeldOutScore]:
-    """Return the prior with a floor that moves if left-out parts are predicted better with it, else the plain one."""
+def _best_prior(evidence: DriveEvidence, plain: DrivePrior, line_sd: float) -> tuple[DrivePrior, Floats, Floats]:
+    """Return the prior with a floor that moves if left-out parts are predicted better with it, else the plain one.
+
+    Also return what `hold_out` does with it.
+    """
     own = math.isfinite(plain.log_floor)
     centre, sd = (plain.log_floor, _FLOOR_LOG_SD[0]) if own else (math.log(_USUAL_FLOOR), _FLOOR_LOG_SD[1])
     floored = DrivePrior(plain.middle, (*plain.sd, sd), centre)
     fixed, free = hold_out(evidence, plain, line_sd), hold_out(evidence, floored, line_sd)
-    gain, error = free.gain_over(fixed)
-    return (floored, free) if gain > _LEAST_FLOOR_GAIN * error else (plain, fixed)
+    gain, error = _gain(free[1], fixed[1])
+    return (floored, *free) if gain > _LEAST_FLOOR_GAIN * error else (plain, *fixed)
 
 
 def _require_enough(evidence: DriveEvidence, lost: dict[str, float], speed: float) -> None:
@@ -573,13 +561,12 @@ def _require_enough(evidence: DriveEvidence, lost: dict[str, float], speed: floa
     )
 
 
-def _described(
-    calibration: Calibration,
-    evidence: DriveEvidence,
-    lost: dict[str, float],
-    prior: DrivePrior,
-    held_out: tuple[HeldOutScore, HeldOutScore],
+def _update(
+    calibration: Calibration, evidence: DriveEvidence, lost: dict[str, float], plain: DrivePrior
 ) -> DriveUpdate:
+    line_sd = fit_move(evidence, plain).line_sd
+    prior, left, score = _best_prior(evidence, plain, line_sd)
+    left_before, score_before = hold_out(evidence, plain, line_sd, moved=False)
     found = fit_move(evidence, prior)
     posterior = MovePosterior(
         np.round(found.mean, _DECIMALS),
@@ -587,7 +574,6 @@ def _described(
         round(found.map_scale, _DECIMALS),
         round(found.line_sd, _DECIMALS),
     )
-    before, after = held_out
     fitted = respond(posterior.mean, evidence.log_c_r, prior)[0]
     middle = np.array([np.median(evidence.log_c_r)])
     value, slope = respond(posterior.mean, middle, prior)
@@ -607,11 +593,16 @@ def _described(
         posterior=posterior,
         floor=(floor, round(math.exp(posterior.mean[2]), _DECIMALS) if len(posterior.mean) > 2 else floor),
         factor=(math.exp(by - NORMAL_TAIL * sd), math.exp(by), math.exp(by + NORMAL_TAIL * sd)),
-        ratio=(before.median_ratio, float(np.exp(np.median(fitted - evidence.log_measured)))),
-        held_out_error=(before.error, after.error),
-        gain=after.gain_over(before),
-        parts=after.parts,
+        ratio=(float(np.exp(-np.median(left_before))), float(np.exp(np.median(fitted - evidence.log_measured)))),
+        held_out_error=(_median_error(left_before), _median_error(left)),
+        gain=_gain(score, score_before),
+        parts=len(score),
     )
+
+
+def _median_error(left: Floats) -> float:
+    """Return the median of abs(predicted / measured - 1), from ln of measured over predicted C_r (n,)."""
+    return float(np.median(np.abs(np.expm1(-left))))
 
 
 def _agree(update: DriveUpdate) -> str:
