@@ -21,6 +21,7 @@ standard error (here 13 % less). Its errors are normal and independent, and it c
 """
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -29,8 +30,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, DrivenStretches, plain_json
 from bumpymap.rating.calibration import Calibration
-from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction
-from bumpymap.rating.ride.thin import ThinModel
+from bumpymap.rating.ride.correction import NORMAL_TAIL
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -102,13 +102,25 @@ def collect_evidence(
         fast = known & (np.abs(np.log(s.speed_mps / speed_mps)) > np.log(SPEED_FACTOR))
         factor = np.median(s.measured[known & ~fast] / s.c_r[known & ~fast]) if (known & ~fast).any() else 1.0
     scale = s.c_r * max(float(factor), 1e-3)
-    sd = np.where(known, s.measured_sd, np.nan)
-    sd[known] = _expected_sd(s.measured[known], sd[known], scale[known])
-    low = known & ~fast & (sd > MOST_SENSOR_SHARE * scale)
+    relative = np.full(len(known), np.nan)
+    relative[known] = _expected_sd(s.measured[known], s.measured_sd[known], scale[known]) / scale[known]
+    low = known & ~fast & (relative > MOST_SENSOR_SHARE)
+    lost = {name: float(s.way_m[each].sum()) for name, each in zip(LEFT_OUT, (~known, fast, low), strict=True)}
     rows = known & ~fast & ~low
-    way = s.way_m
-    lost = {name: float(way[each].sum()) for name, each in zip(LEFT_OUT, (~known, fast, low), strict=True)}
-    return _evidence(s, rows, sd[rows] / scale[rows], floor), lost
+    s = DrivenStretches(**{each.name: getattr(s, each.name)[rows] for each in fields(s)})
+    place = np.column_stack((s.easting, s.northing))
+    without_floor = np.sqrt(np.maximum(s.c_r**2 - floor**2, (_LEAST_SHARE * s.c_r) ** 2))
+    return DriveEvidence(
+        log_c_r=np.log(without_floor),
+        log_measured=np.log(np.maximum(s.measured, _LEAST_SHARE * s.measured_sd + _TINY)),
+        own_variance=relative[rows] ** 2 + (np.nan_to_num(s.place_sd) / s.c_r) ** 2,
+        map_sd=np.maximum(np.log(s.c_r_high / s.c_r_low) / _INTERVAL_SD, _LEAST_MAP_SD),
+        square=_numbered(np.floor(place / SQUARE_M).astype(np.int64)),
+        fold=_folds(s.drive, s.start_s, s.way_m),
+        drive=s.drive,
+        way_m=s.way_m,
+        new_m=s.way_m / _times_driven(place, s.way_m),
+    ), lost
 
 
 def _expected_sd(measured: Floats, sd: Floats, scale: Floats) -> Floats:
@@ -120,24 +132,6 @@ def _expected_sd(measured: Floats, sd: Floats, scale: Floats) -> Floats:
     terms = np.column_stack((np.ones(len(sd)), np.log(scale), above))
     growth = np.linalg.lstsq(terms, np.log(sd + _TINY), rcond=None)[0][2] if len(sd) >= _LEAST_STRETCHES else 0.0
     return np.asarray(sd * np.exp(-np.clip(growth, 0.0, 1.0) * above))
-
-
-def _evidence(s: DrivenStretches, rows: NDArray[np.bool_], relative: Floats, floor: float) -> DriveEvidence:
-    c_r, place, sd, way = s.c_r[rows], np.nan_to_num(s.place_sd[rows]), s.measured_sd[rows], s.way_m[rows]
-    without_floor = np.sqrt(np.maximum(c_r**2 - floor**2, (_LEAST_SHARE * c_r) ** 2))
-    place_of = np.column_stack((s.easting[rows], s.northing[rows]))
-    drive = s.drive[rows]
-    return DriveEvidence(
-        log_c_r=np.log(without_floor),
-        log_measured=np.log(np.maximum(s.measured[rows], _LEAST_SHARE * sd + _TINY)),
-        own_variance=relative**2 + (place / c_r) ** 2,
-        map_sd=np.maximum(np.log(s.c_r_high[rows] / s.c_r_low[rows]) / _INTERVAL_SD, _LEAST_MAP_SD),
-        square=_numbered(np.floor(place_of / SQUARE_M).astype(np.int64)),
-        fold=_folds(drive, s.start_s[rows], way),
-        drive=drive,
-        way_m=way,
-        new_m=way / _times_driven(place_of, way),
-    )
 
 
 def _numbered(values: Integers) -> Integers:
@@ -341,6 +335,11 @@ class LogMove:
         """Return moved ln C_r."""
         return self.intercept + self.slope * log_c_r
 
+    def terms(self, coefficients: Sequence[float]) -> list[float]:
+        """Return moved coefficients of ln C_r, of which the first is the constant."""
+        first, *rest = (self.slope * value for value in coefficients)
+        return [_short(first + self.intercept), *map(_short, rest)]
+
     def c_r(self, value: Any) -> Any:
         """Return moved C_r of a number, None, or nested sequences of them, as tuples or lists as they came."""
         return _each(value, lambda c_r: float(np.exp(self.log(np.log(c_r)))) if c_r > 0 else c_r)
@@ -354,61 +353,37 @@ class LogMove:
 
 def moved_calibration(calibration: Calibration, move: LogMove, record: dict[str, Any]) -> Calibration:
     """Return a calibration whose C_r is moved; ``record``, plain JSON, becomes ``moved_to_drives`` in its settings."""
-    tile = calibration.steps["tile"]
+    ride, thin, tile = calibration.ride, calibration.thin, calibration.steps["tile"]
+    wider, middle = move.widening * move.slope, float(np.exp(move.middle))
+    more = {name: _each(ride[name], lambda value: value * move.slope) for name in _NOISE}
+    more |= {"c_r": move.terms(ride["c_r"]), "spread": _moved_spread(ride, move)}
+    more |= {"model_error": _short(wider * ride["model_error"])}
     log_sd = [move.sd(sd, c_r) for sd, c_r in zip(tile["c_r_log_sd"], tile["c_r"], strict=True)]
+    first, *rest = thin["spread"]
+    spread = {"spread": [_short(first + np.log(wider)), *rest], "own_spread": move.sd(thin["own_spread"], middle)}
     return replace(
         calibration,
         c_r=move.c_r(calibration.c_r),
-        c_r_log_sd=move.sd(calibration.c_r_log_sd, float(np.exp(move.middle))),
+        c_r_log_sd=move.sd(calibration.c_r_log_sd, middle),
         class_c_r=_class_means(calibration, move),
-        ride=_moved_ride(calibration.ride, move),
-        thin=_moved_thin(calibration.thin, move),
+        ride=ride | more,
+        thin=thin | {"c_r": move.terms(thin["c_r"])} | spread,
         steps=calibration.steps | {"tile": tile | {"c_r": move.c_r(tile["c_r"]), "c_r_log_sd": log_sd}},
         settings=calibration.settings | {"moved_to_drives": record},
     )
 
 
-def _moved_ride(record: dict[str, Any], move: LogMove) -> dict[str, Any]:
-    old = Correction.from_record(record)
-    new = replace(
-        old,
-        c_r=_moved_terms(old.c_r, move),
-        spread=_moved_spread(old, move),
-        **{name: _each(getattr(old, name), lambda value: value * move.slope) for name in _NOISE},
-        model_error=_short(move.widening * move.slope * old.model_error),
-    )
-    return record | new.to_record()
-
-
-def _moved_spread(old: Correction, move: LogMove) -> tuple[float, float]:
+def _moved_spread(ride: Mapping[str, Any], move: LogMove) -> list[float]:
     """Return ln of the moved spread at both ends: the straight line nearest to it, nowhere below the simulation's.
 
     Where on the range a C_r lies follows from the geometric C_r, which is near that of the drives.
     """
-    log_g = np.linspace(*old.log_range, _POINTS)
-    own = np.exp(np.interp(log_g, old.log_range, old.spread))
+    log_g = np.linspace(*ride["log_range"], _POINTS)
+    own = np.exp(np.interp(log_g, ride["log_range"], ride["spread"]))
     wanted = np.log([move.sd(sd, np.exp(at)) for sd, at in zip(own.tolist(), log_g.tolist(), strict=True)])
     slope, start = np.polyfit(np.linspace(0.0, 1.0, _POINTS), wanted, 1).tolist()
     least = np.log(move.widening * move.slope)
-    low, high = (max(new, sd + least) for new, sd in zip((start, start + slope), old.spread, strict=True))
-    return _short(low), _short(high)
-
-
-def _moved_thin(record: dict[str, Any], move: LogMove) -> dict[str, Any]:
-    old = ThinModel.from_record(record)
-    new = replace(
-        old,
-        c_r=_moved_terms(old.c_r, move),
-        spread=(_short(old.spread[0] + np.log(move.widening * move.slope)), *old.spread[1:]),
-        own_spread=_short(move.sd(old.own_spread, np.exp(move.middle))),
-    )
-    return record | new.to_record()
-
-
-def _moved_terms(coefficients: tuple[float, ...], move: LogMove) -> tuple[float, ...]:
-    """Move the coefficients of ln C_r, of which the first is the constant."""
-    first, *rest = (move.slope * value for value in coefficients)
-    return (_short(first + move.intercept), *map(_short, rest))
+    return [_short(max(new, sd + least)) for new, sd in zip((start, start + slope), ride["spread"], strict=True)]
 
 
 def _class_means(calibration: Calibration, move: LogMove) -> tuple[float, float, float, float]:
