@@ -13,12 +13,17 @@ from bumpymap.core import Setting
 Floats = NDArray[np.float64]
 
 
+def within(what: str, low: float, high: float, unit: str) -> Setting:
+    """Return the declaration of a number of a profile: what it is, its bounds and their unit."""
+    return Setting(what, low=low, high=high, unit=unit)
+
+
 @dataclass(frozen=True, slots=True)
 class Floor:
     """Pitch motion that does not come from the ground; 0 where nobody has measured it."""
 
     c_r_radpm: Annotated[
-        float, Setting("C_r on even, level ground at `speed_mps`; enters `c_r` in power", None, 0, 1, "rad/m")
+        float, within("C_r on even, level ground at `speed_mps`; enters `c_r` in power", 0, 1, "rad/m")
     ] = 0.0
 
 
@@ -26,14 +31,12 @@ class Floor:
 class Comfort:
     """Limits of the ride, from which the speed made good of each tile follows."""
 
-    pitch_rate_radps: Annotated[float, Setting("most pitch motion, C_r times the speed", None, 0.001, 100, "rad/s")] = (
-        0.3
-    )
+    pitch_rate_radps: Annotated[float, within("most pitch motion, C_r times the speed", 0.001, 100, "rad/s")] = 0.3
     a_w_mps2: Annotated[
-        float, Setting("most weighted vertical acceleration; 0: no limit, as nobody sits in it", None, 0, 1000, "m/s2")
+        float, within("most weighted vertical acceleration; 0: no limit, as nobody sits in it", 0, 1000, "m/s2")
     ] = 0.0
     top_speed_mps: Annotated[
-        float, Setting("speed on smooth ground; 0: `speed_mps`, or that of the map's `--speed`", None, 0, 40, "m/s")
+        float, within("speed on smooth ground; 0: `speed_mps`, or that of the map's `--speed`", 0, 40, "m/s")
     ] = 0.0
 
 
@@ -59,13 +62,11 @@ class Body:
 
     height_m: Annotated[
         float,
-        Setting("height above ground, sensors and load included; what is higher is overhead", None, 0.02, 15, "m"),
+        within("height above ground, sensors and load included; what is higher is overhead", 0.02, 15, "m"),
     ] = math.nan
-    width_m: Annotated[float, Setting("full width; the gap between obstacles must be wider", None, 0.02, 20, "m")] = (
-        math.nan
-    )
+    width_m: Annotated[float, within("full width; the gap between obstacles must be wider", 0.02, 20, "m")] = math.nan
     brush_stem_m: Annotated[
-        float, Setting("plants up to this height above ground are brushed aside and no obstacle", None, 0, 5, "m")
+        float, within("plants up to this height above ground are brushed aside and no obstacle", 0, 5, "m")
     ] = math.nan
 
 
@@ -83,7 +84,7 @@ ESTIMATED = (
 class Whole:
     """Mass and kind of the whole vehicle, which a short profile gives in the place of its parts."""
 
-    mass_kg: Annotated[float, Setting("mass of the whole vehicle, payload included", None, 0.3, 1.2e6, "kg")]
+    mass_kg: Annotated[float, within("mass of the whole vehicle, payload included", 0.3, 1.2e6, "kg")]
     suspension: Literal["rocker", "sprung", "rigid"]
 
 

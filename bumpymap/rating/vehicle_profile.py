@@ -14,7 +14,6 @@ from bumpymap.core import (
     BadInputError,
     Declared,
     OutputError,
-    Setting,
     UsageError,
     allowed_values,
     declared_fields,
@@ -25,7 +24,7 @@ from bumpymap.core import (
     refuse_faults,
     short_repr,
 )
-from bumpymap.rating.vehicle_body import ESTIMATED, SUSPENSION, Body, Comfort, Floor, Whole, estimate
+from bumpymap.rating.vehicle_body import ESTIMATED, SUSPENSION, Body, Comfort, Floor, Whole, estimate, within
 
 _SHORT = "; or give mass_kg and suspension, from which most other values are estimated"
 _SCHEMA = "`bumpymap vehicle new NAME` writes a file to fill in, with units and ranges"
@@ -46,13 +45,11 @@ _Moments = tuple[float, float, float]
 class Chassis:
     """The body that carries the pitch-rate sensor."""
 
-    mass_kg: Annotated[float, Setting("everything except rockers and wheels, payload included", None, 0.2, 1e6, "kg")]
+    mass_kg: Annotated[float, within("everything except rockers and wheels, payload included", 0.2, 1e6, "kg")]
     inertia_kgm2: Annotated[
-        _Moments, Setting("moments of inertia [roll, pitch, yaw] about the centre of mass", None, 1e-6, 1e8, "kg m2")
+        _Moments, within("moments of inertia [roll, pitch, yaw] about the centre of mass", 1e-6, 1e8, "kg m2")
     ]
-    com_height_m: Annotated[
-        float, Setting("height of the centre of mass above the axles; may be negative", None, -2, 6, "m")
-    ]
+    com_height_m: Annotated[float, within("height of the centre of mass above the axles; may be negative", -2, 6, "m")]
     """Measured with the vehicle on level ground."""
 
 
@@ -61,11 +58,11 @@ class Belly:
     """The underside of the chassis: a level plate centred between the wheels, with walls above it."""
 
     length_m: Annotated[
-        float, Setting("length along the vehicle, centred between the axles, bumpers included", None, 0.05, 30, "m")
+        float, within("length along the vehicle, centred between the axles, bumpers included", 0.05, 30, "m")
     ]
-    width_m: Annotated[float, Setting("width across the vehicle", None, 0.02, 15, "m")]
+    width_m: Annotated[float, within("width across the vehicle", 0.02, 15, "m")]
     clearance_m: Annotated[
-        float, Setting("height above level ground of the lowest part that could hit a stone", None, 0.005, 5, "m")
+        float, within("height above level ground of the lowest part that could hit a stone", 0.005, 5, "m")
     ]
 
 
@@ -74,25 +71,25 @@ class Rocker:
     """The beam on each side that joins a front and a rear wheel and pivots about the chassis' left axis."""
 
     mass_kg: Annotated[
-        float, Setting("mass of one rocker: the beam that joins a front and a rear wheel", None, 0.005, 1e5, "kg")
+        float, within("mass of one rocker: the beam that joins a front and a rear wheel", 0.005, 1e5, "kg")
     ]
     inertia_kgm2: Annotated[
-        _Moments, Setting("moments of inertia [roll, pitch, yaw] about its centre", None, 1e-8, 1e7, "kg m2")
+        _Moments, within("moments of inertia [roll, pitch, yaw] about its centre", 1e-8, 1e7, "kg m2")
     ]
-    limit_rad: Annotated[float, Setting("end stop, up and down from level", None, 0, 1.2, "rad")]
+    limit_rad: Annotated[float, within("end stop, up and down from level", 0, 1.2, "rad")]
     stiffness_nm_per_rad: Annotated[
-        float, Setting("stiffness of the spring that returns it to level; 0 for a free rocker", None, 0, 1e9, "N m/rad")
+        float, within("stiffness of the spring that returns it to level; 0 for a free rocker", 0, 1e9, "N m/rad")
     ]
-    damping_nms_per_rad: Annotated[float, Setting("damping coefficient", None, 0, 1e8, "N m s/rad")]
+    damping_nms_per_rad: Annotated[float, within("damping coefficient", 0, 1e8, "N m s/rad")]
 
 
 @dataclass(frozen=True, slots=True)
 class Wheel:
     """One of the four wheels: a rigid cylinder."""
 
-    mass_kg: Annotated[float, Setting("mass of one wheel", None, 0.005, 2e4, "kg")]
-    radius_m: Annotated[float, Setting("radius", None, 0.02, 3, "m")]
-    width_m: Annotated[float, Setting("width", None, 0.005, 3, "m")]
+    mass_kg: Annotated[float, within("mass of one wheel", 0.005, 2e4, "kg")]
+    radius_m: Annotated[float, within("radius", 0.02, 3, "m")]
+    width_m: Annotated[float, within("width", 0.005, 3, "m")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,28 +101,22 @@ class Vehicle:
 
     name: str
     description: str
-    wheelbase_m: Annotated[float, Setting("distance between the axles", None, 0.1, 20, "m")]
-    track_m: Annotated[float, Setting("distance between the wheel centres of one axle", None, 0.05, 15, "m")]
+    wheelbase_m: Annotated[float, within("distance between the axles", 0.1, 20, "m")]
+    track_m: Annotated[float, within("distance between the wheel centres of one axle", 0.05, 15, "m")]
     speed_mps: Annotated[
         float,
-        Setting(
-            "the speed of every drive; C_r depends on it, so choose the speed at which you will drive",
-            None,
-            0.05,
-            15,
-            "m/s",
+        within(
+            "the speed of every drive; C_r depends on it, so choose the speed at which you will drive", 0.05, 15, "m/s"
         ),
     ]
-    slope_limit_deg: Annotated[float, Setting("steeper tiles are class 3 and not passable", None, 3, 60, "deg")]
+    slope_limit_deg: Annotated[float, within("steeper tiles are class 3 and not passable", 3, 60, "deg")]
     ride_weight: Annotated[
         float,
-        Setting(
-            "the detour that is acceptable to avoid one radian of pitch motion; a preference", None, 0, 1000, "m/rad"
-        ),
+        within("the detour that is acceptable to avoid one radian of pitch motion; a preference", 0, 1000, "m/rad"),
     ] = field(default=5.0, kw_only=True)
     """cost = 1 + ride_weight * c_r + fail_weight * hazard."""
     fail_weight: Annotated[
-        float, Setting("the detour that is acceptable to avoid one failure; a preference", None, 0, 100_000, "m")
+        float, within("the detour that is acceptable to avoid one failure; a preference", 0, 100_000, "m")
     ] = field(default=300.0, kw_only=True)
     chassis: Chassis
     belly: Belly
