@@ -100,32 +100,27 @@ def motion_terms(
     profile's; ``log_range``: lowest and highest ln of the geometric C_r of the driven ground: the terms of the
     roughness stay beyond.
     """
-    shape = motions.pitch_change.shape
     own = np.log(np.maximum(pitch_change, _LEAST))[:, None]
-    s = np.broadcast_to(log_speed, shape)
-    rough = np.broadcast_to(np.clip(own, *log_range), shape)
-    pitch = np.log(np.maximum(motions.pitch_change, _LEAST)) - own
-    roll = np.broadcast_to(np.log(np.maximum(motions.roll_change, _LEAST))[:, None] - own, shape)
-    heave = np.log(np.maximum(motions.heave, _LEAST)) - own
-    one = np.ones(shape)
+    changes = motions.pitch_change, motions.roll_change[:, None], motions.heave
+    pitch, roll, heave = (np.log(np.maximum(change, _LEAST)) - own for change in changes)
+    s, rough = log_speed, np.clip(own, *log_range)
     return {
-        "c_r": np.stack((pitch, s, s * rough, s * rough**2, s**2, s**2 * rough), axis=-1),
-        "a_w": np.stack(
-            (one, heave, rough, rough**2, s, s * rough, s**2, roll, heave * s, heave * rough), axis=-1
-        ),
-    }  # fmt: skip
+        "c_r": _terms(pitch, s, s * rough, s * rough**2, s**2, s**2 * rough),
+        "a_w": _terms(1.0, heave, rough, rough**2, s, s * rough, s**2, roll, heave * s, heave * rough),
+    }
 
 
 def plain_terms(c_r: Floats, log_speed: Floats, log_c_r_range: tuple[float, float]) -> dict[str, Floats]:
     """Return the terms of each of ``QUANTITIES`` from C_r [rad/m] alone, (..., k, terms)."""
-    rough = np.clip(np.log(np.maximum(c_r, _LEAST)), *log_c_r_range)[..., None]
-    s = np.broadcast_to(log_speed, (*c_r.shape, len(log_speed)))
-    rough = np.broadcast_to(rough, s.shape)
-    one = np.ones(s.shape)
+    s, rough = log_speed, np.clip(np.log(np.maximum(c_r, _LEAST)), *log_c_r_range)[..., None]
     return {
-        "c_r": np.stack((s, s * rough, s * rough**2, s**2, s**2 * rough), axis=-1),
-        "a_w": np.stack((one, rough, rough**2, s, s * rough, s**2), axis=-1),
+        "c_r": _terms(s, s * rough, s * rough**2, s**2, s**2 * rough),
+        "a_w": _terms(1.0, rough, rough**2, s, s * rough, s**2),
     }
+
+
+def _terms(*values: Floats | float) -> Floats:
+    return np.stack(np.broadcast_arrays(*values), axis=-1)
 
 
 LEVEL = 5e-4
