@@ -33,6 +33,7 @@ from bumpymap.rating.ride.operator import (
     RideOperator,
     WheelShape,
     chassis_response,
+    joined,
     pitch_change,
     spread_places,
     wheel_rows,
@@ -74,12 +75,13 @@ def roll_over(relief_map: NDArray[np.float32], operator: RideOperator, by_axis: 
     """
     patches = np.ascontiguousarray(relief_map, np.float32)
     known = _without_holes(patches)
-    rides = np.full((len(relief_map), 5 if by_axis is None else 5 + len(AXES_DEG)), np.nan)
-    loops.ride_patches(known, patches, operator, rides)
+    motions = np.full((len(relief_map), 1 if by_axis is None else 1 + len(AXES_DEG), 2), np.nan)
+    stands = np.full((len(relief_map), 3), np.nan)
+    loops.ride_patches(known, patches, operator, operator, motions, stands)
     if by_axis is not None:
-        by_axis[:] = rides[:, 5:]
+        by_axis[:] = motions[:, 1:, 0]
     heights = _heights(np.where(known[:, None, None], patches, np.float32(np.nan)))
-    return Rides(*rides[:, :5].T.copy(), *heights)
+    return Rides(*motions[:, 0].T.copy(), *stands.T.copy(), *heights)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +119,7 @@ class MotionOperator:
             groups.append(pitch_change(lattice, places, chassis_response({**vehicle, "speed_mps": speed}, way)))
             felt, back = heave_filter(speed, min(way, speed / (_PER_WAVE * WEIGHTED_BAND_HZ[1])))
             groups.append(wheel_rows(lattice, places, (1, 1, 1, 1), felt / 4, back))
-        return cls(tuple(speeds), lattice.fine, lattice.wheel, _joined(groups))
+        return cls(tuple(speeds), lattice.fine, lattice.wheel, joined(groups))
 
 
 def move_over(relief_map: NDArray[np.float32], operator: MotionOperator) -> Motions:
@@ -210,15 +212,3 @@ def heave_filter(speed: float, way: float) -> tuple[Floats, Floats]:
     window = np.hanning(len(kept) + 2)[1:-1]
     kept = kept - window * (kept.sum() / window.sum())
     return np.asarray(kept), np.asarray(way * np.arange(-reach, reach + 1), np.float64)
-
-
-def _joined(groups: Sequence[PitchSamples]) -> PitchSamples:
-    """Put the rows of groups one after the other."""
-    entries = np.cumsum([0, *(len(rows.node) for rows in groups)])
-    starts = [rows.starts[:-1] + first for rows, first in zip(groups, entries, strict=False)]
-    return PitchSamples(
-        np.concatenate((*starts, entries[-1:])).astype(np.int32),
-        np.concatenate([rows.node for rows in groups]),
-        np.concatenate([rows.weight for rows in groups]),
-        np.cumsum([0, *(len(rows.starts) - 1 for rows in groups)]),
-    )

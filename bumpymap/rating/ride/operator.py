@@ -10,7 +10,7 @@ value of matrix times envelopes. The samples are spread evenly over the patch an
 symmetries of the square: a patch that is turned or mirrored gets the same answer.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
@@ -175,6 +175,13 @@ def _compressed(node: NDArray[np.int64], weight: Floats) -> PitchSamples:
     return PitchSamples(starts.astype(np.int32), *entries, np.array([0, samples]))
 
 
+def joined(parts: Sequence[PitchSamples]) -> PitchSamples:
+    """Put the rows of parts one after the other, and their groups."""
+    starts, node, weight, bounds = zip(*parts, strict=True)
+    rows, groups = (np.cumsum(np.concatenate(([0], *map(np.diff, ends)))) for ends in (starts, bounds))
+    return PitchSamples(rows.astype(np.int32), np.concatenate(node), np.concatenate(weight), groups)
+
+
 _RIDE_SAMPLES, _POSE_SAMPLES = 128, 16
 """Samples before the eight symmetries."""
 _MOST_TAPS, _SETTLED = 400, 0.01
@@ -191,9 +198,7 @@ class RideOperator:
     """Nodes along the side of a pixel."""
     wheel: WheelShape
     samples: PitchSamples
-    """One group."""
-    axes: PitchSamples
-    """The same rows by the nearest of ``AXES_DEG``."""
+    """Groups: all; then the same rows by the nearest of ``AXES_DEG``."""
     wheel_node: Annotated[NDArray[np.int32], 3]
     """(poses, 4 wheels, 4 corners): front left, front right, rear left, rear right; bilinear reads of the nodes."""
     wheel_weight: Annotated[NDArray[np.float32], 3]
@@ -221,8 +226,7 @@ class RideOperator:
         return cls(
             fine=lattice.fine,
             wheel=lattice.wheel,
-            samples=samples,
-            axes=_by_axis(samples, places[2]),
+            samples=joined((samples, _by_axis(samples, places[2]))),
             wheel_node=wheel_node.astype(np.int32),
             wheel_weight=wheel_weight.astype(np.float32),
             belly_node=belly_node.astype(np.int32),

@@ -79,7 +79,7 @@ def test_pitch_change_is_what_a_slow_walk_over_the_envelope_gives(name):
 def test_the_axes_of_a_turned_patch_turn_with_it_and_their_mean_is_that_of_all_headings():
     patch, by_axis, turned = patches(4, 20), np.empty((20, 8)), np.empty((20, 8))
     mean = roll_over(patch, RIDE, by_axis).pitch_change
-    np.testing.assert_allclose(np.average(by_axis, axis=1, weights=np.diff(RIDE.axes.bounds)), mean, rtol=1e-6)
+    np.testing.assert_allclose(np.average(by_axis, axis=1, weights=np.diff(RIDE.samples.bounds[1:])), mean, rtol=1e-6)
     roll_over(np.ascontiguousarray(np.rot90(patch, 1, (1, 2))), RIDE, turned)
     np.testing.assert_allclose(np.roll(turned, 4, axis=1), by_axis, rtol=1e-4)
 
