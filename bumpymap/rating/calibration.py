@@ -39,16 +39,14 @@ _FORMAT, _VERSION = "bumpymap-calibration", 2
 """Of the calibration file."""
 MAP_SPEED = "map_speed_mps"
 """Key of ``motion``: the speed that a map was asked for."""
-_MODELS = ("ride", "thin", "steps", "motion")
-"""Fields that are fitted to the drives; empty while a calibration is made."""
 _PREFERENCES = ("name", "description", "ride_weight", "fail_weight", "body", "comfort", "floor")
 """Keys and tables of a vehicle profile that do not affect the simulated drives."""
-_MORE, _LIMITS = Number(1e-9), 3
-"""A positive number, and how many class limits there are."""
+_MORE = Number(1e-9)
+"""A positive number."""
 _SHAPE = {
     "tile_size": _MORE, "pixels": Number(1, whole=True), "z_range": [_MORE], "c_r": [[Nullable(_MORE)]],
     "c_r_log_sd": [[Nullable(Number(0))]], "p_fail": [[Number(0, 1)]], "drives": [[Number(0, whole=True)]],
-    "class_limits": (_MORE,) * _LIMITS, "class_c_r": (_MORE,) * (_LIMITS + 1), **dict.fromkeys(_MODELS, dict),
+    "class_limits": (_MORE,) * 3, "class_c_r": (_MORE,) * 4, "ride": dict, "thin": dict, "steps": dict,
     "motion": {f"{MAP_SPEED}?": _MORE},
     "settings": {"drive?": {"measure_s?": _MORE}, "moved_to_drives?": {"floor?": (Number(0),) * 2}},
 }  # fmt: skip
@@ -234,17 +232,17 @@ class Calibration:
         """
         hint = "Make one with: bumpymap calibrate --vehicle FILE --out CALIBRATION.json"
         try:
-            try:
-                record = parse_json(text)
-            except ValueError:
-                record = None
-            if not isinstance(record, dict) or record.get("format") != _FORMAT:
-                raise BadInputError(f"{origin} is not a bumpymap calibration. {hint}")
-            if record.get("version") != _VERSION:
-                raise BadInputError(
-                    f"{origin} is a calibration of version {record.get('version')}; "
-                    f"this bumpymap reads version {_VERSION}. {hint}"
-                )
+            record = parse_json(text)
+        except ValueError:
+            record = None
+        if not isinstance(record, dict) or record.get("format") != _FORMAT:
+            raise BadInputError(f"{origin} is not a bumpymap calibration. {hint}")
+        if record.get("version") != _VERSION:
+            raise BadInputError(
+                f"{origin} is a calibration of version {record.get('version')}; "
+                f"this bumpymap reads version {_VERSION}. {hint}"
+            )
+        try:
             values = {each.name: _tuples(record[each.name]) for each in fields(cls)}
             if fault := shape_fault(record, _SHAPE):
                 raise ValueError(fault)  # noqa: TRY301 (as what the constructor refuses)

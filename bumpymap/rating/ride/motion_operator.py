@@ -19,8 +19,8 @@ simulation from the facets of its ground.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,7 @@ from bumpymap.rating.ride.operator import (
     spread_places,
     wheel_rows,
 )
+from bumpymap.rating.vehicle_profile import Vehicle
 
 Floats = NDArray[np.float64]
 
@@ -109,14 +110,14 @@ class MotionOperator:
     """Groups: roll; then pitch and heave at each speed."""
 
     @classmethod
-    def of(cls, vehicle: Mapping[str, Any], tile_size: float, pixels: int, speeds: Sequence[float]) -> "MotionOperator":
-        """Make the operator of a vehicle profile (the nested dictionary of its TOML file) for speeds [m/s]."""
+    def of(cls, vehicle: Vehicle, tile_size: float, pixels: int, speeds: Sequence[float]) -> "MotionOperator":
+        """Make the operator of a vehicle for speeds [m/s]."""
         lattice, places = NodeLattice.of(vehicle, tile_size, pixels), spread_places(_SAMPLES, tile_size)
         way = lattice.step / 2
         shares, back = np.array([1.0, -1.0]) / way / (2 * lattice.track), way * np.array([-0.5, 0.5])
         groups = [wheel_rows(lattice, places, (1, -1, 1, -1), shares, back)]
         for speed in speeds:
-            groups.append(pitch_change(lattice, places, chassis_response({**vehicle, "speed_mps": speed}, way)))
+            groups.append(pitch_change(lattice, places, chassis_response(replace(vehicle, speed_mps=speed), way)))
             felt, back = heave_filter(speed, min(way, speed / (_PER_WAVE * WEIGHTED_BAND_HZ[1])))
             groups.append(wheel_rows(lattice, places, (1, 1, 1, 1), felt / 4, back))
         return cls(tuple(speeds), lattice.fine, lattice.wheel, joined(groups))

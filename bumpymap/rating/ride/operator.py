@@ -10,14 +10,15 @@ value of matrix times envelopes. The samples are spread evenly over the patch an
 symmetries of the square: a patch that is turned or mirrored gets the same answer.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bumpymap.core import AXES_DEG
+from bumpymap.rating.vehicle_profile import Vehicle
 
 Floats = NDArray[np.float64]
 Places = tuple[Floats, Floats, Floats]
@@ -71,13 +72,13 @@ class NodeLattice:
     wheel: WheelShape
 
     @classmethod
-    def of(cls, vehicle: Mapping[str, Any], tile_size: float, pixels: int) -> "NodeLattice":
-        """Make the lattice of a vehicle profile (the nested dictionary of its TOML file) for patches of one size."""
-        radius, width = (float(vehicle["wheel"][name]) for name in ("radius_m", "width_m"))
-        fine = max(1, int(np.ceil(_WHEEL_NODES * tile_size / (pixels * radius) - 1e-9)))
+    def of(cls, vehicle: Vehicle, tile_size: float, pixels: int) -> "NodeLattice":
+        """Make the lattice of a vehicle for patches of one size."""
+        wheel = vehicle.wheel
+        fine = max(1, int(np.ceil(_WHEEL_NODES * tile_size / (pixels * wheel.radius_m) - 1e-9)))
         step = tile_size / (pixels * fine)
-        sides = float(vehicle["wheelbase_m"]), float(vehicle["track_m"])
-        return cls(fine, pixels * fine + 1, step, *sides, wheel_shape(radius, width, step))
+        shape = wheel_shape(wheel.radius_m, wheel.width_m, step)
+        return cls(fine, pixels * fine + 1, step, vehicle.wheelbase_m, vehicle.track_m, shape)
 
     def read(self, x: Floats, y: Floats) -> tuple[NDArray[np.int64], Floats]:
         """Bilinear reads at places [m] of any shape: nodes and weights, one more axis of four corners."""
@@ -208,6 +209,7 @@ class RideOperator:
     belly_weight: Annotated[NDArray[np.float32], 3]
     """The same shape."""
     wheelbase: float
+    track: float
     belly_half: float
     """Half of the belly's length, m."""
     clearance: float
@@ -216,9 +218,9 @@ class RideOperator:
     where wheels are points, rad/m per m."""
 
     @classmethod
-    def of(cls, vehicle: Mapping[str, Any], tile_size: float, pixels: int) -> "RideOperator":
-        """Make the operator of a vehicle profile (the nested dictionary of its TOML file)."""
-        lattice, half = NodeLattice.of(vehicle, tile_size, pixels), float(vehicle["belly"]["length_m"]) / 2
+    def of(cls, vehicle: Vehicle, tile_size: float, pixels: int) -> "RideOperator":
+        """Make the operator of a vehicle."""
+        lattice, half = NodeLattice.of(vehicle, tile_size, pixels), vehicle.belly.length_m / 2
         places, poses = (spread_places(count, tile_size) for count in (_RIDE_SAMPLES, _POSE_SAMPLES))
         samples = pitch_change(lattice, places, chassis_response(vehicle, lattice.step / 2))
         wheel_node, wheel_weight = lattice.read_wheels(poses, *CORNERS)
@@ -232,8 +234,9 @@ class RideOperator:
             belly_node=belly_node.astype(np.int32),
             belly_weight=belly_weight.astype(np.float32),
             wheelbase=lattice.wheelbase,
+            track=lattice.track,
             belly_half=half,
-            clearance=float(vehicle["belly"]["clearance_m"]),
+            clearance=vehicle.belly.clearance_m,
             noise_gain=_noise_gain(samples, pixels, lattice.fine),
         )
 
@@ -260,16 +263,16 @@ def wheel_shape(radius: float, width: float, step: float) -> WheelShape:
     return WheelShape(starts.astype(np.int32), *shape)
 
 
-def chassis_response(vehicle: Mapping[str, Any], way: float) -> Floats:
+def chassis_response(vehicle: Vehicle, way: float) -> Floats:
     """How much the chassis pitches, step by step of ``way`` [m], after its rockers pitched by one in the first step.
 
     I theta'' = 2 k (phi - theta) + 2 b (phi' - theta') with both rockers' spring k and damper b, I the chassis' moment
     of pitch, phi the mean pitch of the rockers. Exact for a rocker that turns evenly during a step. The taps sum to 1.
     """
-    inertia = float(vehicle["chassis"]["inertia_kgm2"][1])
-    spring = 2 * float(vehicle["rocker"]["stiffness_nm_per_rad"]) / inertia
-    damper = 2 * float(vehicle["rocker"]["damping_nms_per_rad"]) / inertia
-    seconds = way / float(vehicle["speed_mps"])
+    _, inertia, _ = vehicle.chassis.inertia_kgm2
+    spring = 2 * vehicle.rocker.stiffness_nm_per_rad / inertia
+    damper = 2 * vehicle.rocker.damping_nms_per_rad / inertia
+    seconds = way / vehicle.speed_mps
     if spring <= 0:
         return np.ones(1)
     # State: theta, theta', phi, phi'.

@@ -89,7 +89,7 @@ class RideModel:
 
     def __init__(self, calibration: Calibration, *, headings: bool = False) -> None:
         self.calibration = calibration
-        self.operator = RideOperator.of(calibration.vehicle, calibration.tile_size, calibration.pixels)
+        self.operator = RideOperator.of(calibration.profile, calibration.tile_size, calibration.pixels)
         self.correction = Correction.from_record(calibration.ride)
         self.headings = headings
         self.speed: SpeedRating | None = None

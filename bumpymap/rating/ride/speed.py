@@ -221,7 +221,7 @@ class SpeedRating:
     def of(cls, calibration: Calibration, speeds: tuple[float, ...]) -> "SpeedRating":
         """Make the rating of a calibration."""
         every = tuple(dict.fromkeys((*speeds, calibration.map_speed)))
-        operator = MotionOperator.of(calibration.vehicle, calibration.tile_size, calibration.pixels, every)
+        operator = MotionOperator.of(calibration.profile, calibration.tile_size, calibration.pixels, every)
         return cls(calibration, speeds, operator)
 
     def factors_of(self, motions: Motions, pitch_change: Floats) -> tuple[Floats, NDArray[np.float32]]:
