@@ -378,8 +378,9 @@ def _moved_spread(ride: Mapping[str, Any], move: LogMove) -> list[float]:
 
     Where on the range a C_r lies follows from the geometric C_r, which is near that of the drives.
     """
-    log_g = np.linspace(*ride["log_range"], _POINTS)
-    own = np.exp(np.interp(log_g, ride["log_range"], ride["spread"]))
+    low, high = ride["log_range"]
+    log_g = np.linspace(low, high, _POINTS)
+    own = np.exp(np.interp(log_g, (low, high), ride["spread"]))
     wanted = np.log([move.sd(sd, np.exp(at)) for sd, at in zip(own.tolist(), log_g.tolist(), strict=True)])
     slope, start = np.polyfit(np.linspace(0.0, 1.0, _POINTS), wanted, 1).tolist()
     least = np.log(move.widening * move.slope)

@@ -196,7 +196,7 @@ def _parsed(record: Any) -> tuple[dict[str, Any], list[str], dict[str, Any] | No
     if not short:
         return *parse_record(record, Vehicle, Path(), complete=True), None
     whole, faults = parse_record(short, Whole, Path(), complete=True)
-    rest = {name.partition(".")[0]: {} for name in ESTIMATED}
+    rest: dict[str, Any] = {name.partition(".")[0]: {} for name in ESTIMATED}
     rest |= {key: value for key, value in record.items() if key not in short}
     lacks = tuple(f"missing {name}:" for name in ESTIMATED)
     faults += [fault for fault in parse_record(rest, Vehicle, Path(), complete=True)[1] if not fault.startswith(lacks)]

@@ -82,7 +82,7 @@ def roll_over(relief_map: NDArray[np.float32], operator: RideOperator, by_axis: 
     if by_axis is not None:
         by_axis[:] = motions[:, 1:, 0]
     heights = _heights(np.where(known[:, None, None], patches, np.float32(np.nan)))
-    return Rides(*motions[:, 0].T.copy(), *stands.T.copy(), *heights)
+    return Rides(*(*motions[:, 0].T.copy(), *stands.T.copy(), *heights))
 
 
 @dataclass(frozen=True, slots=True)

@@ -93,7 +93,7 @@ class NodeLattice:
         return np.stack(node, axis=-1), np.stack(weight, axis=-1)
 
     def read_wheels(
-        self, places: Places, forward: ArrayLike, left: ArrayLike, back: ArrayLike = 0.0
+        self, places: Places, forward: ArrayLike, left: ArrayLike, back: Floats | float = 0.0
     ) -> tuple[NDArray[np.int64], Floats]:
         """Read the envelopes under wheels at n samples, as `read` does, (n, k, 4).
 
@@ -114,7 +114,7 @@ class NodeLattice:
         return np.minimum(wrapped, period - wrapped)
 
 
-def beside(places: Places, along: ArrayLike, left: ArrayLike) -> tuple[Floats, Floats]:
+def beside(places: Places, along: Floats | float, left: Floats | float) -> tuple[Floats, Floats]:
     """Return easting and northing, (n, k), of places so far ahead of n samples and to their left, () or (k,), m."""
     x, y, heading = (each[:, None] for each in places)
     cos, sin = np.cos(heading), np.sin(heading)
@@ -308,7 +308,7 @@ def pitch_change(lattice: NodeLattice, places: Places, taps: Floats) -> PitchSam
     # The chassis' change in a step is the taps over the rockers' changes before it, each a difference of two pitches.
     way = lattice.step / 2
     shares = np.diff(taps, prepend=0.0, append=0.0) / way
-    back = way * (np.arange(len(shares)) - 0.5)
+    back = way * (np.arange(len(shares), dtype=np.float64) - 0.5)
     return wheel_rows(lattice, places, (1, 1, -1, -1), shares / (2 * lattice.wheelbase), back)
 
 
