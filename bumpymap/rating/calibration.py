@@ -206,7 +206,7 @@ class Calibration:
     def require_grid(self, tile_size: float, pixels: int) -> None:
         """Raise UsageError if tiles to rate differ in size [m] or number of pixels from the calibration's."""
         if (self.tile_size, self.pixels) != (tile_size, pixels):
-            name = str(self.vehicle["name"])
+            name = self.profile.name
             vehicle = name if name in shipped_calibrations() else "PROFILE.toml"
             raise UsageError(
                 f"the calibration {self.id} was made for tiles of {self.tile_size:g} m with {self.pixels} pixels, the "

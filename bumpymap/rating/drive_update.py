@@ -490,7 +490,7 @@ def update_from_drives(
             f"drives together, those of then and those of now, against a map made with the calibration {before}"
         )
     floor = calibration.floor
-    speed = speed_mps or float(calibration.vehicle["speed_mps"])
+    speed = speed_mps or calibration.profile.speed_mps
     evidence, lost = collect_evidence(stretches, speed, floor)
     _require_enough(evidence, lost, speed)
     plain = DrivePrior(

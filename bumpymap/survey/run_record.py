@@ -213,20 +213,20 @@ def run_manifest(
         **({"photo": run_spec["made with"]["photo"]} if config.photo else {}),
         "calibration": {
             "id": calibration.id,
-            "vehicle": calibration.vehicle["name"],
+            "vehicle": calibration.profile.name,
             "preferences": calibration.preferences,
             "class_limits": calibration.map_limits,
             **({"floor_radpm": calibration.map_floor} if calibration.map_floor else {}),
             **({"model_error": error} if error else {}),
         },
         "vehicle": {
-            "name": calibration.vehicle["name"],
+            "name": calibration.profile.name,
             "width_m": calibration.body.width_m,
             "height_m": calibration.body.height_m,
             "clearance_m": calibration.body.clearance_m,
             "speed_mps": calibration.map_speed,
         }
-        | ({} if config.speed is None else {"drives_mps": float(calibration.vehicle["speed_mps"])}),
+        | ({} if config.speed is None else {"drives_mps": calibration.profile.speed_mps}),
         "seconds": seconds,
     }
 

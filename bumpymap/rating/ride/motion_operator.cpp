@@ -32,7 +32,7 @@ struct PitchSamples {
     Array<const Index> bounds;
 };
 
-// What both operators of a vehicle have in common.
+// Rows over the envelopes of a vehicle's wheels, which both of its operators have.
 struct WheelRows {
     Index fine;
     WheelShape wheel;
