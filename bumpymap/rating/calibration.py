@@ -258,11 +258,8 @@ class Calibration:
         try:
             text = read_regular(Path(place)).decode()
         except OSError as error:
-            hint = (
-                f". That of an included vehicle: Calibration.shipped('{path}')"
-                if place in shipped_calibrations()
-                else ""
-            )
+            is_included = place in shipped_calibrations()
+            hint = f". That of an included vehicle: Calibration.shipped('{path}')" if is_included else ""
             raise BadInputError(f"cannot read the calibration {path}: {error.strerror}{hint}") from error
         except UnicodeDecodeError:
             text = ""
