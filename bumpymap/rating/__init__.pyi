@@ -4,6 +4,7 @@ from .beside_steps import (
 from .calibration import (
     Calibration as Calibration,
     DrivenTerrain as DrivenTerrain,
+    find_calibration as find_calibration,
     shipped_calibrations as shipped_calibrations,
 )
 from .cost import (
@@ -62,6 +63,7 @@ from .ride.speed import (
     SpeedRating as SpeedRating,
     at_speed as at_speed,
     felt_by_heading as felt_by_heading,
+    map_calibration as map_calibration,
     map_rule as map_rule,
     motion_felt as motion_felt,
     motion_terms as motion_terms,
@@ -100,7 +102,6 @@ from .textures import (
     remove_plane as remove_plane,
 )
 from .vehicle_body import (
-    flat_profile as flat_profile,
     less_floor as less_floor,
     with_floor as with_floor,
 )
@@ -108,8 +109,7 @@ from .vehicle_profile import (
     KEYS as KEYS,
     Vehicle as Vehicle,
     estimated_values as estimated_values,
-    find_calibration as find_calibration,
-    map_calibration as map_calibration,
+    flat_profile as flat_profile,
     shipped_profiles as shipped_profiles,
     write_profile_template as write_profile_template,
 )

@@ -1,8 +1,8 @@
-"""The calibration of a vehicle: its ride cost on each kind of ground, made by ``bumpymap calibrate``."""
+"""The calibration of a vehicle, by ``bumpymap calibrate``: its ride cost on each kind of ground; how to find it."""
 
 import hashlib
 import json
-import math
+import shlex
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import wraps
@@ -17,15 +17,19 @@ from bumpymap.core import (
     TEXTURES,
     BadInputError,
     CostRule,
+    Nullable,
+    Number,
     UsageError,
     VehicleBody,
     brief_repr,
     parse_json,
     path_of_call,
     read_regular,
+    shape_fault,
     short_repr,
 )
-from bumpymap.rating.vehicle_body import Floor, body_table, comfort_of, flat_profile, with_floor
+from bumpymap.rating.vehicle_body import with_floor
+from bumpymap.rating.vehicle_profile import Vehicle, flat_profile
 
 T = TypeVar("T")
 
@@ -35,14 +39,18 @@ _FORMAT, _VERSION = "bumpymap-calibration", 2
 """Of the calibration file."""
 MAP_SPEED = "map_speed_mps"
 """Key of ``motion``: the speed that a map was asked for."""
-_MODELS = ("ride", "thin", "steps", "motion")
-"""Fields that are fitted to the drives; empty while a calibration is made."""
-_PREFERENCES = ("name", "description", "ride_weight", "fail_weight")
-"""Keys of a vehicle profile that do not affect the simulated drives."""
-_UNDRIVEN = ("body.", "comfort.", "floor.")
-"""Tables that do not either."""
-DEFAULT_FAIL_WEIGHT = 300.0
-"""``fail_weight`` of profiles without that key, m."""
+_PREFERENCES = ("name", "description", "ride_weight", "fail_weight", "body", "comfort", "floor")
+"""Keys and tables of a vehicle profile that do not affect the simulated drives."""
+_MORE = Number(1e-9)
+"""A positive number."""
+_SHAPE = {
+    "tile_size": _MORE, "pixels": Number(1, whole=True), "z_range": [_MORE], "c_r": [[Nullable(_MORE)]],
+    "c_r_log_sd": [[Nullable(Number(0))]], "p_fail": [[Number(0, 1)]], "drives": [[Number(0, whole=True)]],
+    "class_limits": (_MORE,) * 3, "class_c_r": (_MORE,) * 4, "ride": dict, "thin": dict, "steps": dict,
+    "motion": {f"{MAP_SPEED}?": _MORE},
+    "settings": {"drive?": {"measure_s?": _MORE}, "moved_to_drives?": {"floor?": (Number(0),) * 2}},
+}  # fmt: skip
+"""Of the file, see `shape_fault`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,25 +129,17 @@ class Calibration:
     """Ride at other speeds, roll and lift, see ``bumpymap.rating.ride.speed``."""
 
     def __post_init__(self) -> None:
-        _check_numbers(self)
-        shape = (len(self.textures), len(self.z_range))
-        for name in ("c_r", "c_r_log_sd", "p_fail", "drives"):
-            table = getattr(self, name)
-            if len(table) != shape[0] or any(len(line) != shape[1] for line in table):
-                raise ValueError(f"table {name} is not {shape[0]} textures x {shape[1]} z ranges")
         if self.textures != TEXTURES:
             raise ValueError(f"textures are {self.textures}; this version knows {TEXTURES}")
-        if not self.z_range or list(self.z_range) != sorted(set(self.z_range)) or self.z_range[0] <= 0:
-            raise ValueError("z_range must be positive and increasing")
-        if list(self.class_limits) != sorted(set(self.class_limits)) or self.class_limits[0] <= 0:
-            raise ValueError("class_limits must be positive and increasing")
-        for name in _MODELS:
-            if not isinstance(getattr(self, name), dict):
-                raise ValueError(f"{name} is {getattr(self, name)!r}; it must be an object")  # noqa: TRY004
+        for name in ("c_r", "c_r_log_sd", "p_fail", "drives"):
+            if [len(line) for line in getattr(self, name)] != [len(self.z_range)] * len(TEXTURES):
+                raise ValueError(f"table {name} is not {len(TEXTURES)} textures x {len(self.z_range)} z ranges")
+        for name, rising in (("z_range", self.z_range), ("class_limits", self.class_limits)):
+            if not rising or list(rising) != sorted(set(rising)):
+                raise ValueError(f"{name} must be increasing")
         json.dumps(self._record(), allow_nan=False)  # raises ValueError if a number is not finite
-        known = [c for line in self.c_r for c in line if c is not None]
-        if any(line[0] is None for line in self.c_r) or min(known) <= 0:
-            raise ValueError("c_r must be positive, and known at the lowest z range of every texture")
+        if any(line[0] is None for line in self.c_r):
+            raise ValueError("c_r must be known at the lowest z range of every texture")
 
     @property
     def id(self) -> str:
@@ -148,36 +148,40 @@ class Calibration:
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
     @property
+    def profile(self) -> Vehicle:
+        """The vehicle, with defaults for what its record leaves out; raises BadInputError if a value is not allowed."""
+        return _profile(self)
+
+    @property
     def cost_rule(self) -> CostRule:
         """The rule that decides which tiles are passable for the vehicle, and the weights of the cost."""
         seconds = self.settings.get("drive", {}).get("measure_s", _DRIVE_S)
         return CostRule(
-            ride_weight=float(self.vehicle["ride_weight"]),
-            fail_weight=float(self.vehicle.get("fail_weight", DEFAULT_FAIL_WEIGHT)),
-            drive_m=float(seconds) * float(self.vehicle["speed_mps"]),
-            slope_limit_deg=float(self.vehicle["slope_limit_deg"]),
+            ride_weight=self.profile.ride_weight,
+            fail_weight=self.profile.fail_weight,
+            drive_m=float(seconds) * self.profile.speed_mps,
+            slope_limit_deg=self.profile.slope_limit_deg,
         )
 
     @property
     def wheel_pixels(self) -> float:
         """Diameter of a wheel, px."""
-        return 2.0 * float(self.vehicle["wheel"]["radius_m"]) * self.pixels / self.tile_size
+        return 2.0 * self.profile.wheel.radius_m * self.pixels / self.tile_size
 
     @property
     def body(self) -> VehicleBody:
-        """Outline of the vehicle; defaults where the profile has none."""
-        return VehicleBody(clearance_m=float(self.vehicle["belly"]["clearance_m"]), **body_table(self.vehicle))
+        """Outline of the vehicle."""
+        return VehicleBody(clearance_m=self.profile.belly.clearance_m, **asdict(self.profile.body))
 
     @property
     def floor(self) -> float:
         """C_r on even, level ground at the profile's speed, rad/m; 0 if the profile has none."""
-        return float(self.vehicle.get("floor", {}).get("c_r_radpm", 0.0))
+        return self.profile.floor.c_r_radpm
 
     @property
     def map_speed(self) -> float:
         """The speed [m/s] that the C_r of a map is for: the profile's, unless `at_speed` has set another."""
-        own = float(self.vehicle["speed_mps"])
-        return float(self.motion.get(MAP_SPEED, own))
+        return float(self.motion.get(MAP_SPEED, self.profile.speed_mps))
 
     @property
     def map_floor(self) -> float:
@@ -186,7 +190,7 @@ class Calibration:
 
     def floor_at(self, speed: float) -> float:
         """Return the floor at a speed [m/s], rad/m: lugs and drive train turn the vehicle at a rate in time."""
-        return self.floor * float(self.vehicle["speed_mps"]) / speed
+        return self.floor * self.profile.speed_mps / speed
 
     @property
     def floor_before(self) -> float:
@@ -202,7 +206,7 @@ class Calibration:
     def require_grid(self, tile_size: float, pixels: int) -> None:
         """Raise UsageError if tiles to rate differ in size [m] or number of pixels from the calibration's."""
         if (self.tile_size, self.pixels) != (tile_size, pixels):
-            name = str(self.vehicle["name"])
+            name = self.profile.name
             vehicle = name if name in shipped_calibrations() else "PROFILE.toml"
             raise UsageError(
                 f"the calibration {self.id} was made for tiles of {self.tile_size:g} m with {self.pixels} pixels, the "
@@ -228,18 +232,22 @@ class Calibration:
         """
         hint = "Make one with: bumpymap calibrate --vehicle FILE --out CALIBRATION.json"
         try:
-            try:
-                record = parse_json(text)
-            except ValueError:
-                record = None
-            if not isinstance(record, dict) or record.get("format") != _FORMAT:
-                raise BadInputError(f"{origin} is not a bumpymap calibration. {hint}")
-            if record.get("version") != _VERSION:
-                raise BadInputError(
-                    f"{origin} is a calibration of version {record.get('version')}; "
-                    f"this bumpymap reads version {_VERSION}. {hint}"
-                )
-            return cls(**{each.name: _tuples(record[each.name]) for each in fields(cls)})
+            record = parse_json(text)
+        except ValueError:
+            record = None
+        if not isinstance(record, dict) or record.get("format") != _FORMAT:
+            raise BadInputError(f"{origin} is not a bumpymap calibration. {hint}")
+        if record.get("version") != _VERSION:
+            raise BadInputError(
+                f"{origin} is a calibration of version {record.get('version')}; "
+                f"this bumpymap reads version {_VERSION}. {hint}"
+            )
+        try:
+            values = {each.name: _tuples(record[each.name]) for each in fields(cls)}
+            if fault := shape_fault(record, _SHAPE):
+                raise ValueError(fault)  # noqa: TRY301 (as what the constructor refuses)
+            Vehicle.from_dict(record["vehicle"], f"{origin}, vehicle")
+            return cls(**values)
         except (LookupError, TypeError, ValueError, AttributeError) as error:
             raise BadInputError(f"{origin} is a damaged calibration: {error!r}. {hint}") from error
 
@@ -250,11 +258,8 @@ class Calibration:
         try:
             text = read_regular(Path(place)).decode()
         except OSError as error:
-            hint = (
-                f". That of an included vehicle: Calibration.shipped('{path}')"
-                if place in shipped_calibrations()
-                else ""
-            )
+            is_included = place in shipped_calibrations()
+            hint = f". That of an included vehicle: Calibration.shipped('{path}')" if is_included else ""
             raise BadInputError(f"cannot read the calibration {path}: {error.strerror}{hint}") from error
         except UnicodeDecodeError:
             text = ""
@@ -284,60 +289,26 @@ class Calibration:
     @property
     def preferences(self) -> dict[str, Any]:
         """Name, description, weights and tables of the vehicle that do not affect the drives."""
-        undriven = (*_PREFERENCES, *(table.rstrip(".") for table in _UNDRIVEN))
-        return {"fail_weight": DEFAULT_FAIL_WEIGHT} | {
-            key: value for key, value in self.vehicle.items() if key in undriven
-        }
+        usual = {"fail_weight": self.profile.fail_weight}
+        return usual | {key: value for key, value in self.vehicle.items() if key in _PREFERENCES}
 
-    def with_preferences(self, profile: dict[str, Any], origin: str) -> "Calibration":
+    def with_preferences(self, vehicle: Vehicle, origin: str) -> "Calibration":
         """Return this calibration with the preferences, ``[body]``, ``[comfort]``, ``[floor]`` of a profile.
 
-        They change the layers, so a changed preference changes the ``id``. ``profile``: a vehicle profile, as in its
-        TOML file; ``origin``: name of the calibration for the error message. Raises BadInputError if any other key
-        differs, so that the profile is of another vehicle.
+        They change the layers, so a changed preference changes the ``id``. ``origin``: name of the calibration for the
+        error message. Raises BadInputError if any other key differs, so that the profile is of another vehicle.
         """
-        driven, given = flat_profile(self.vehicle), flat_profile(profile)
-        kept = [key for key in {**driven, **given} if key not in _PREFERENCES and not key.startswith(_UNDRIVEN)]
-        differ = [key for key in kept if driven.get(key) != given.get(key)]
-        if differ:
-            named = "; ".join(f"{key} is {given.get(key)}, was {driven.get(key)}" for key in differ)
-            raise BadInputError(f"{origin} was made for another vehicle: {named}")
-        own = self.preferences
-        changed = {key: given[key] for key in _PREFERENCES if key in given and given[key] != own.get(key)}
-        if (body := body_table(profile)) != body_table(self.vehicle):
-            changed["body"] = body
-        if (comfort := comfort_of(profile)) != comfort_of(self.vehicle):
-            changed["comfort"] = asdict(comfort)
-        floor = float(profile.get("floor", {}).get("c_r_radpm", 0.0))
-        if floor not in (self.floor, self.floor_before):
-            changed["floor"] = asdict(Floor(floor))
+        driven, given = self.profile.to_dict(), vehicle.to_dict()
+        old, new = (
+            flat_profile({key: value for key, value in each.items() if key not in _PREFERENCES})
+            for each in (driven, given)
+        )
+        if differ := [f"{key} is {new[key]}, was {old[key]}" for key in old if new[key] != old[key]]:
+            raise BadInputError(f"{origin} was made for another vehicle: {'; '.join(differ)}")
+        changed = {key: given[key] for key in _PREFERENCES if given[key] != driven[key]}
+        if vehicle.floor.c_r_radpm == self.floor_before:
+            changed.pop("floor", None)
         return replace(self, vehicle=self.vehicle | changed) if changed else self
-
-
-def _check_numbers(calibration: Calibration) -> None:
-    """Raise ValueError if a number is missing, not finite or out of range."""
-    vehicle = calibration.vehicle
-    rule = calibration.cost_rule
-    if not isinstance(vehicle["name"], str):
-        raise ValueError(f"the vehicle's name is {vehicle['name']!r}; it must be a string")  # noqa: TRY004 (of a file)
-    if len(calibration.class_limits) != 3 or len(calibration.class_c_r) != 4:
-        raise ValueError("there must be 3 class_limits and 4 class_c_r")
-    tables = [calibration.p_fail, calibration.drives, calibration.c_r, calibration.c_r_log_sd]
-    gaps = [number for table in tables[2:] for line in table for number in line if number is None]
-    numbers = [number for table in tables for line in table for number in line]
-    numbers += [vehicle["ride_weight"], vehicle["slope_limit_deg"], rule.fail_weight, rule.drive_m]
-    numbers += [*calibration.z_range, *calibration.class_limits, *calibration.class_c_r]
-    numbers += [calibration.tile_size, calibration.pixels, *asdict(calibration.body).values(), calibration.floor]
-    numbers += [calibration.floor_before, calibration.map_speed]
-    known = [value for value in numbers if isinstance(value, int | float) and not isinstance(value, bool)]
-    if sum(map(math.isfinite, known)) + len(gaps) != len(numbers):
-        raise ValueError("a number is missing, not finite, or no number")
-    if calibration.floor < 0:
-        raise ValueError("[floor] must not be negative")
-    if calibration.map_speed <= 0:
-        raise ValueError(f"{MAP_SPEED} must be positive")
-    if rule.drive_m <= 0 or min(rule.ride_weight, rule.fail_weight) < 0:
-        raise ValueError("speed_mps and measure_s must be positive, ride_weight and fail_weight not negative")
 
 
 def remembered(function: Callable[[Calibration], T]) -> Callable[[Calibration], T]:
@@ -356,6 +327,11 @@ def remembered(function: Callable[[Calibration], T]) -> Callable[[Calibration], 
     return ask
 
 
+@remembered
+def _profile(calibration: Calibration) -> Vehicle:
+    return Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}, vehicle")
+
+
 def shipped_calibrations() -> list[str]:
     """Return the names of the vehicles whose calibration is included in the package."""
     folder = files("bumpymap.rating") / "data" / "calibrations"
@@ -364,3 +340,37 @@ def shipped_calibrations() -> list[str]:
 
 def _tuples(value: Any) -> Any:
     return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
+
+
+def find_calibration(vehicle: str | Path, file: Path | None = None, tile_size: float = 3.0) -> Calibration:
+    """Find the calibration of a vehicle, an included one for tiles of ``tile_size`` (3, 5 or 6 m).
+
+    ``vehicle``: name of an included vehicle, or a TOML file, whose calibration is the JSON file of the same name beside
+    it. If there is none and the profile equals that of an included vehicle, the calibration of that is used. Name,
+    description and weights are those of the TOML file. ``file``: a calibration file; ``vehicle`` is then ignored.
+
+    Raises UsageError if there is no vehicle of that name, or no such file; BadInputError if profile or calibration
+    cannot be read, or are of different vehicles.
+    """
+    if file is not None:
+        return Calibration.load(file)
+    profile = Vehicle.load(vehicle)
+    if str(vehicle) in shipped_calibrations():
+        return Calibration.shipped(str(vehicle), tile_size)
+    path = Path(vehicle)
+    beside = path.with_suffix(".json")
+    again = f"bumpymap calibrate --vehicle {shlex.quote(str(path))} --out {shlex.quote(str(beside))}"
+    if beside.exists():
+        calibration = Calibration.load(beside)
+        try:
+            return calibration.with_preferences(profile, str(beside))
+        except BadInputError as error:
+            raise BadInputError(f"{error}. Calibrate for the vehicle of {path}: {again} --overwrite") from error
+    for name in shipped_calibrations():
+        try:
+            return Calibration.shipped(name, tile_size).with_preferences(profile, name)
+        except BadInputError:  # another vehicle
+            continue
+    raise BadInputError(
+        f"there is no calibration of {path}: {beside} does not exist. Make it: {again} (--quick makes a rough one)"
+    )

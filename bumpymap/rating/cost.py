@@ -46,7 +46,7 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
     chance = textures.probability[known].astype(np.float64)
     log_mean, log_sd, fails = _read_tables(patches.relief[known], calibration)
     c_r, p_fail = (chance * np.exp(log_mean)).sum(axis=1), np.minimum((chance * fails).sum(axis=1), 1.0)
-    too_steep = patches.slope[known] > float(calibration.vehicle["slope_limit_deg"])
+    too_steep = patches.slope[known] > calibration.profile.slope_limit_deg
     mixture = chance, log_mean - 0.5 * log_sd**2, log_sd  # the tables hold the logarithm of the mean
     low, high = (
         np.exp(_quantile(mixture, share, normal)) for share, normal in ((TAIL, -NORMAL_TAIL), (1 - TAIL, NORMAL_TAIL))
@@ -130,7 +130,7 @@ def rate_as_paper(
     class_id = np.where(judged, class_id, 3)
     measured = patches.reason != Reason.NO_GROUND
     edges = with_floor(np.array([0.0, *calibration.class_limits, np.inf]), calibration.map_floor)
-    p_fail = np.where(patches.slope > calibration.vehicle["slope_limit_deg"], 1.0, np.nan)
+    p_fail = np.where(patches.slope > calibration.profile.slope_limit_deg, 1.0, np.nan)
     high = np.where(class_id == len(edges) - 2, np.nan, edges[class_id + 1])
     out = np.full(len(measured), NO_CLASS, np.uint8)
     out[measured] = class_id[measured]

@@ -21,6 +21,7 @@ standard error (here 13 % less). Its errors are normal and independent, and it c
 """
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -29,8 +30,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, DrivenStretches, plain_json
 from bumpymap.rating.calibration import Calibration
-from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction
-from bumpymap.rating.ride.thin import ThinModel
+from bumpymap.rating.ride.correction import NORMAL_TAIL
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -102,13 +102,25 @@ def collect_evidence(
         fast = known & (np.abs(np.log(s.speed_mps / speed_mps)) > np.log(SPEED_FACTOR))
         factor = np.median(s.measured[known & ~fast] / s.c_r[known & ~fast]) if (known & ~fast).any() else 1.0
     scale = s.c_r * max(float(factor), 1e-3)
-    sd = np.where(known, s.measured_sd, np.nan)
-    sd[known] = _expected_sd(s.measured[known], sd[known], scale[known])
-    low = known & ~fast & (sd > MOST_SENSOR_SHARE * scale)
+    relative = np.full(len(known), np.nan)
+    relative[known] = _expected_sd(s.measured[known], s.measured_sd[known], scale[known]) / scale[known]
+    low = known & ~fast & (relative > MOST_SENSOR_SHARE)
+    lost = {name: float(s.way_m[each].sum()) for name, each in zip(LEFT_OUT, (~known, fast, low), strict=True)}
     rows = known & ~fast & ~low
-    way = s.way_m
-    lost = {name: float(way[each].sum()) for name, each in zip(LEFT_OUT, (~known, fast, low), strict=True)}
-    return _evidence(s, rows, sd[rows] / scale[rows], floor), lost
+    s = DrivenStretches(**{each.name: getattr(s, each.name)[rows] for each in fields(s)})
+    place = np.column_stack((s.easting, s.northing))
+    without_floor = np.sqrt(np.maximum(s.c_r**2 - floor**2, (_LEAST_SHARE * s.c_r) ** 2))
+    return DriveEvidence(
+        log_c_r=np.log(without_floor),
+        log_measured=np.log(np.maximum(s.measured, _LEAST_SHARE * s.measured_sd + _TINY)),
+        own_variance=relative[rows] ** 2 + (np.nan_to_num(s.place_sd) / s.c_r) ** 2,
+        map_sd=np.maximum(np.log(s.c_r_high / s.c_r_low) / _INTERVAL_SD, _LEAST_MAP_SD),
+        square=_numbered(np.floor(place / SQUARE_M).astype(np.int64)),
+        fold=_folds(s.drive, s.start_s, s.way_m),
+        drive=s.drive,
+        way_m=s.way_m,
+        new_m=s.way_m / _times_driven(place, s.way_m),
+    ), lost
 
 
 def _expected_sd(measured: Floats, sd: Floats, scale: Floats) -> Floats:
@@ -120,24 +132,6 @@ def _expected_sd(measured: Floats, sd: Floats, scale: Floats) -> Floats:
     terms = np.column_stack((np.ones(len(sd)), np.log(scale), above))
     growth = np.linalg.lstsq(terms, np.log(sd + _TINY), rcond=None)[0][2] if len(sd) >= _LEAST_STRETCHES else 0.0
     return np.asarray(sd * np.exp(-np.clip(growth, 0.0, 1.0) * above))
-
-
-def _evidence(s: DrivenStretches, rows: NDArray[np.bool_], relative: Floats, floor: float) -> DriveEvidence:
-    c_r, place, sd, way = s.c_r[rows], np.nan_to_num(s.place_sd[rows]), s.measured_sd[rows], s.way_m[rows]
-    without_floor = np.sqrt(np.maximum(c_r**2 - floor**2, (_LEAST_SHARE * c_r) ** 2))
-    place_of = np.column_stack((s.easting[rows], s.northing[rows]))
-    drive = s.drive[rows]
-    return DriveEvidence(
-        log_c_r=np.log(without_floor),
-        log_measured=np.log(np.maximum(s.measured[rows], _LEAST_SHARE * sd + _TINY)),
-        own_variance=relative**2 + (place / c_r) ** 2,
-        map_sd=np.maximum(np.log(s.c_r_high[rows] / s.c_r_low[rows]) / _INTERVAL_SD, _LEAST_MAP_SD),
-        square=_numbered(np.floor(place_of / SQUARE_M).astype(np.int64)),
-        fold=_folds(drive, s.start_s[rows], way),
-        drive=drive,
-        way_m=way,
-        new_m=way / _times_driven(place_of, way),
-    )
 
 
 def _numbered(values: Integers) -> Integers:
@@ -283,29 +277,13 @@ def _sums(columns: Floats, weight: Floats, common: Floats, square: NDArray[np.in
     return (columns.T * weight) @ columns - (mixed / whole) @ mixed.T, mixed, whole
 
 
-@dataclass(frozen=True, slots=True)
-class HeldOutScore:
-    """How well left-out stretches are predicted."""
-
-    parts: int
-    """Number of parts that were left out in turn."""
-    error: float
-    """Median of abs(predicted / measured - 1)."""
-    median_ratio: float
-    """Median of predicted / measured."""
-    log_score: Floats
-    """(parts,) sum of the log probability densities of the stretches of each part, apart from a constant."""
-
-    def gain_over(self, other: "HeldOutScore") -> tuple[float, float]:
-        """Return how much better this one predicts, and the standard error of that by the scatter of the parts."""
-        gain = self.log_score - other.log_score
-        return float(gain.sum()), float(np.sqrt(len(gain)) * gain.std(ddof=1))
-
-
-def hold_out(evidence: DriveEvidence, prior: DrivePrior, line_sd: float, *, moved: bool = True) -> HeldOutScore:
+def hold_out(
+    evidence: DriveEvidence, prior: DrivePrior, line_sd: float, *, moved: bool = True
+) -> tuple[Floats, Floats]:
     """Predict each part from the others; not ``moved``: by the calibration as it is.
 
-    ``line_sd``: of `MovePosterior`, what is expected of errors.
+    ``line_sd``: of `MovePosterior`, what is expected of errors. Returns ln of measured over predicted C_r (n,), and for
+    each part the sum of the log probability densities of its stretches, apart from a constant, (parts,).
     """
     predicted = respond(prior.mean, evidence.log_c_r, prior)[0]
     for part in np.unique(evidence.fold) if moved else ():
@@ -315,9 +293,13 @@ def hold_out(evidence: DriveEvidence, prior: DrivePrior, line_sd: float, *, move
     left = evidence.log_measured - predicted
     variance = TAIL_SCALE * (evidence.own_variance + evidence.map_sd**2 + line_sd**2)
     score = -0.5 * (FREEDOM + 1.0) * np.log1p(left**2 / (FREEDOM * variance))
-    parts = int(evidence.fold.max()) + 1
-    by_part = np.asarray(np.bincount(evidence.fold, score, parts), np.float64)
-    return HeldOutScore(parts, float(np.median(np.abs(np.expm1(-left)))), float(np.exp(-np.median(left))), by_part)
+    return left, np.asarray(np.bincount(evidence.fold, score), np.float64)
+
+
+def _gain(after: Floats, before: Floats) -> tuple[float, float]:
+    """Return how much better left-out parts (n,) are predicted, and the standard error of that by their scatter."""
+    gain = after - before
+    return float(gain.sum()), float(np.sqrt(len(gain)) * gain.std(ddof=1))
 
 
 _DIGITS = 10
@@ -353,6 +335,11 @@ class LogMove:
         """Return moved ln C_r."""
         return self.intercept + self.slope * log_c_r
 
+    def terms(self, coefficients: Sequence[float]) -> list[float]:
+        """Return moved coefficients of ln C_r, of which the first is the constant."""
+        first, *rest = (self.slope * value for value in coefficients)
+        return [_short(first + self.intercept), *map(_short, rest)]
+
     def c_r(self, value: Any) -> Any:
         """Return moved C_r of a number, None, or nested sequences of them, as tuples or lists as they came."""
         return _each(value, lambda c_r: float(np.exp(self.log(np.log(c_r)))) if c_r > 0 else c_r)
@@ -366,61 +353,38 @@ class LogMove:
 
 def moved_calibration(calibration: Calibration, move: LogMove, record: dict[str, Any]) -> Calibration:
     """Return a calibration whose C_r is moved; ``record``, plain JSON, becomes ``moved_to_drives`` in its settings."""
-    tile = calibration.steps["tile"]
+    ride, thin, tile = calibration.ride, calibration.thin, calibration.steps["tile"]
+    wider, middle = move.widening * move.slope, float(np.exp(move.middle))
+    more = {name: _each(ride[name], lambda value: value * move.slope) for name in _NOISE}
+    more |= {"c_r": move.terms(ride["c_r"]), "spread": _moved_spread(ride, move)}
+    more |= {"model_error": _short(wider * ride["model_error"])}
     log_sd = [move.sd(sd, c_r) for sd, c_r in zip(tile["c_r_log_sd"], tile["c_r"], strict=True)]
+    first, *rest = thin["spread"]
+    spread = {"spread": [_short(first + np.log(wider)), *rest], "own_spread": move.sd(thin["own_spread"], middle)}
     return replace(
         calibration,
         c_r=move.c_r(calibration.c_r),
-        c_r_log_sd=move.sd(calibration.c_r_log_sd, float(np.exp(move.middle))),
+        c_r_log_sd=move.sd(calibration.c_r_log_sd, middle),
         class_c_r=_class_means(calibration, move),
-        ride=_moved_ride(calibration.ride, move),
-        thin=_moved_thin(calibration.thin, move),
+        ride=ride | more,
+        thin=thin | {"c_r": move.terms(thin["c_r"])} | spread,
         steps=calibration.steps | {"tile": tile | {"c_r": move.c_r(tile["c_r"]), "c_r_log_sd": log_sd}},
         settings=calibration.settings | {"moved_to_drives": record},
     )
 
 
-def _moved_ride(record: dict[str, Any], move: LogMove) -> dict[str, Any]:
-    old = Correction.from_record(record)
-    new = replace(
-        old,
-        c_r=_moved_terms(old.c_r, move),
-        spread=_moved_spread(old, move),
-        **{name: _each(getattr(old, name), lambda value: value * move.slope) for name in _NOISE},
-        model_error=_short(move.widening * move.slope * old.model_error),
-    )
-    return record | new.to_record()
-
-
-def _moved_spread(old: Correction, move: LogMove) -> tuple[float, float]:
+def _moved_spread(ride: Mapping[str, Any], move: LogMove) -> list[float]:
     """Return ln of the moved spread at both ends: the straight line nearest to it, nowhere below the simulation's.
 
     Where on the range a C_r lies follows from the geometric C_r, which is near that of the drives.
     """
-    log_g = np.linspace(*old.log_range, _POINTS)
-    own = np.exp(np.interp(log_g, old.log_range, old.spread))
+    low, high = ride["log_range"]
+    log_g = np.linspace(low, high, _POINTS)
+    own = np.exp(np.interp(log_g, (low, high), ride["spread"]))
     wanted = np.log([move.sd(sd, np.exp(at)) for sd, at in zip(own.tolist(), log_g.tolist(), strict=True)])
     slope, start = np.polyfit(np.linspace(0.0, 1.0, _POINTS), wanted, 1).tolist()
     least = np.log(move.widening * move.slope)
-    low, high = (max(new, sd + least) for new, sd in zip((start, start + slope), old.spread, strict=True))
-    return _short(low), _short(high)
-
-
-def _moved_thin(record: dict[str, Any], move: LogMove) -> dict[str, Any]:
-    old = ThinModel.from_record(record)
-    new = replace(
-        old,
-        c_r=_moved_terms(old.c_r, move),
-        spread=(_short(old.spread[0] + np.log(move.widening * move.slope)), *old.spread[1:]),
-        own_spread=_short(move.sd(old.own_spread, np.exp(move.middle))),
-    )
-    return record | new.to_record()
-
-
-def _moved_terms(coefficients: tuple[float, ...], move: LogMove) -> tuple[float, ...]:
-    """Move the coefficients of ln C_r, of which the first is the constant."""
-    first, *rest = (move.slope * value for value in coefficients)
-    return (_short(first + move.intercept), *map(_short, rest))
+    return [_short(max(new, sd + least)) for new, sd in zip((start, start + slope), ride["spread"], strict=True)]
 
 
 def _class_means(calibration: Calibration, move: LogMove) -> tuple[float, float, float, float]:
@@ -526,7 +490,7 @@ def update_from_drives(
             f"drives together, those of then and those of now, against a map made with the calibration {before}"
         )
     floor = calibration.floor
-    speed = speed_mps or float(calibration.vehicle["speed_mps"])
+    speed = speed_mps or calibration.profile.speed_mps
     evidence, lost = collect_evidence(stretches, speed, floor)
     _require_enough(evidence, lost, speed)
     plain = DrivePrior(
@@ -534,29 +498,29 @@ def update_from_drives(
         sd=(_SHIFT_SD, _TILT_SD),
         log_floor=math.log(floor) if floor else -math.inf,
     )
-    line_sd = fit_move(evidence, plain).line_sd
-    prior, after = _best_prior(evidence, plain, line_sd)
-    before = hold_out(evidence, plain, line_sd, moved=False)
-    update = _described(calibration, evidence, lost, prior, (before, after))
+    update = _update(calibration, evidence, lost, plain)
     if not update.gain[0] > _LEAST_GAIN * update.gain[1]:
         raise BadInputError(_agree(update))
     found = update.posterior
     shift, tilt = found.mean[:2].tolist()
-    move = LogMove(prior.middle, shift, tilt, found.covariance[:2, :2], max(1.0, found.map_scale))
+    move = LogMove(update.prior.middle, shift, tilt, found.covariance[:2, :2], max(1.0, found.map_scale))
     moved = moved_calibration(calibration, move, update.to_record())
     if update.floor[0] != update.floor[1]:
         moved = replace(moved, vehicle=moved.vehicle | {"floor": {"c_r_radpm": update.floor[1]}})
     return moved, update
 
 
-def _best_prior(evidence: DriveEvidence, plain: DrivePrior, line_sd: float) -> tuple[DrivePrior, HeldOutScore]:
-    """Return the prior with a floor that moves if left-out parts are predicted better with it, else the plain one."""
+def _best_prior(evidence: DriveEvidence, plain: DrivePrior, line_sd: float) -> tuple[DrivePrior, Floats, Floats]:
+    """Return the prior with a floor that moves if left-out parts are predicted better with it, else the plain one.
+
+    Also return what `hold_out` does with it.
+    """
     own = math.isfinite(plain.log_floor)
     centre, sd = (plain.log_floor, _FLOOR_LOG_SD[0]) if own else (math.log(_USUAL_FLOOR), _FLOOR_LOG_SD[1])
     floored = DrivePrior(plain.middle, (*plain.sd, sd), centre)
     fixed, free = hold_out(evidence, plain, line_sd), hold_out(evidence, floored, line_sd)
-    gain, error = free.gain_over(fixed)
-    return (floored, free) if gain > _LEAST_FLOOR_GAIN * error else (plain, fixed)
+    gain, error = _gain(free[1], fixed[1])
+    return (floored, *free) if gain > _LEAST_FLOOR_GAIN * error else (plain, *fixed)
 
 
 def _require_enough(evidence: DriveEvidence, lost: dict[str, float], speed: float) -> None:
@@ -573,13 +537,12 @@ def _require_enough(evidence: DriveEvidence, lost: dict[str, float], speed: floa
     )
 
 
-def _described(
-    calibration: Calibration,
-    evidence: DriveEvidence,
-    lost: dict[str, float],
-    prior: DrivePrior,
-    held_out: tuple[HeldOutScore, HeldOutScore],
+def _update(
+    calibration: Calibration, evidence: DriveEvidence, lost: dict[str, float], plain: DrivePrior
 ) -> DriveUpdate:
+    line_sd = fit_move(evidence, plain).line_sd
+    prior, left, score = _best_prior(evidence, plain, line_sd)
+    left_before, score_before = hold_out(evidence, plain, line_sd, moved=False)
     found = fit_move(evidence, prior)
     posterior = MovePosterior(
         np.round(found.mean, _DECIMALS),
@@ -587,7 +550,6 @@ def _described(
         round(found.map_scale, _DECIMALS),
         round(found.line_sd, _DECIMALS),
     )
-    before, after = held_out
     fitted = respond(posterior.mean, evidence.log_c_r, prior)[0]
     middle = np.array([np.median(evidence.log_c_r)])
     value, slope = respond(posterior.mean, middle, prior)
@@ -607,11 +569,16 @@ def _described(
         posterior=posterior,
         floor=(floor, round(math.exp(posterior.mean[2]), _DECIMALS) if len(posterior.mean) > 2 else floor),
         factor=(math.exp(by - NORMAL_TAIL * sd), math.exp(by), math.exp(by + NORMAL_TAIL * sd)),
-        ratio=(before.median_ratio, float(np.exp(np.median(fitted - evidence.log_measured)))),
-        held_out_error=(before.error, after.error),
-        gain=after.gain_over(before),
-        parts=after.parts,
+        ratio=(float(np.exp(-np.median(left_before))), float(np.exp(np.median(fitted - evidence.log_measured)))),
+        held_out_error=(_median_error(left_before), _median_error(left)),
+        gain=_gain(score, score_before),
+        parts=len(score),
     )
+
+
+def _median_error(left: Floats) -> float:
+    """Return the median of abs(predicted / measured - 1), from ln of measured over predicted C_r (n,)."""
+    return float(np.median(np.abs(np.expm1(-left))))
 
 
 def _agree(update: DriveUpdate) -> str:

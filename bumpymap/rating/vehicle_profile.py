@@ -1,12 +1,10 @@
-"""Vehicle profiles: dimensions, masses, preferences of a vehicle, read from TOML; its calibration is found here."""
+"""Vehicle profiles: dimensions, masses, preferences of a vehicle, read from TOML and checked."""
 
 import json
 import math
 import re
-import shlex
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,30 +14,17 @@ from bumpymap.core import (
     BadInputError,
     Declared,
     OutputError,
-    Setting,
     UsageError,
     allowed_values,
+    declared_fields,
     parse_record,
     path_of_call,
+    plain_json,
     read_toml,
     refuse_faults,
     short_repr,
 )
-from bumpymap.rating.calibration import DEFAULT_FAIL_WEIGHT, Calibration, shipped_calibrations
-from bumpymap.rating.ride.speed import at_speed
-from bumpymap.rating.vehicle_body import (
-    ESTIMATED,
-    SUSPENSION,
-    Body,
-    Comfort,
-    Floor,
-    Whole,
-    body_table,
-    estimate_profile,
-    flat_profile,
-    plain_lists,
-    profile_keys,
-)
+from bumpymap.rating.vehicle_body import ESTIMATED, SUSPENSION, Body, Comfort, Floor, Whole, estimate, within
 
 _SHORT = "; or give mass_kg and suspension, from which most other values are estimated"
 _SCHEMA = "`bumpymap vehicle new NAME` writes a file to fill in, with units and ranges"
@@ -50,6 +35,8 @@ _LIGHTEST, _HEAVIEST = 5.0, 3000.0
 _GYRATION = {"chassis": (0.03, 0.6), "rocker": (0.003, 0.6)}
 """Bounds of the radius of gyration, sqrt(moment / mass), over the vehicle's size. Even two masses at the ends of a body
 stay below 0.6; included vehicles have 0.15 to 0.36 (chassis) and 0.02 to 0.21 (rocker)."""
+_TALL = 0.7
+"""Default height above the wheels or the belly, in track widths."""
 _Moments = tuple[float, float, float]
 """Roll (about the forward axis), pitch (left axis), yaw (upward axis)."""
 
@@ -58,13 +45,11 @@ _Moments = tuple[float, float, float]
 class Chassis:
     """The body that carries the pitch-rate sensor."""
 
-    mass_kg: Annotated[float, Setting("everything except rockers and wheels, payload included", None, 0.2, 1e6, "kg")]
+    mass_kg: Annotated[float, within("everything except rockers and wheels, payload included", 0.2, 1e6, "kg")]
     inertia_kgm2: Annotated[
-        _Moments, Setting("moments of inertia [roll, pitch, yaw] about the centre of mass", None, 1e-6, 1e8, "kg m2")
+        _Moments, within("moments of inertia [roll, pitch, yaw] about the centre of mass", 1e-6, 1e8, "kg m2")
     ]
-    com_height_m: Annotated[
-        float, Setting("height of the centre of mass above the axles; may be negative", None, -2, 6, "m")
-    ]
+    com_height_m: Annotated[float, within("height of the centre of mass above the axles; may be negative", -2, 6, "m")]
     """Measured with the vehicle on level ground."""
 
 
@@ -73,11 +58,11 @@ class Belly:
     """The underside of the chassis: a level plate centred between the wheels, with walls above it."""
 
     length_m: Annotated[
-        float, Setting("length along the vehicle, centred between the axles, bumpers included", None, 0.05, 30, "m")
+        float, within("length along the vehicle, centred between the axles, bumpers included", 0.05, 30, "m")
     ]
-    width_m: Annotated[float, Setting("width across the vehicle", None, 0.02, 15, "m")]
+    width_m: Annotated[float, within("width across the vehicle", 0.02, 15, "m")]
     clearance_m: Annotated[
-        float, Setting("height above level ground of the lowest part that could hit a stone", None, 0.005, 5, "m")
+        float, within("height above level ground of the lowest part that could hit a stone", 0.005, 5, "m")
     ]
 
 
@@ -86,25 +71,25 @@ class Rocker:
     """The beam on each side that joins a front and a rear wheel and pivots about the chassis' left axis."""
 
     mass_kg: Annotated[
-        float, Setting("mass of one rocker: the beam that joins a front and a rear wheel", None, 0.005, 1e5, "kg")
+        float, within("mass of one rocker: the beam that joins a front and a rear wheel", 0.005, 1e5, "kg")
     ]
     inertia_kgm2: Annotated[
-        _Moments, Setting("moments of inertia [roll, pitch, yaw] about its centre", None, 1e-8, 1e7, "kg m2")
+        _Moments, within("moments of inertia [roll, pitch, yaw] about its centre", 1e-8, 1e7, "kg m2")
     ]
-    limit_rad: Annotated[float, Setting("end stop, up and down from level", None, 0, 1.2, "rad")]
+    limit_rad: Annotated[float, within("end stop, up and down from level", 0, 1.2, "rad")]
     stiffness_nm_per_rad: Annotated[
-        float, Setting("stiffness of the spring that returns it to level; 0 for a free rocker", None, 0, 1e9, "N m/rad")
+        float, within("stiffness of the spring that returns it to level; 0 for a free rocker", 0, 1e9, "N m/rad")
     ]
-    damping_nms_per_rad: Annotated[float, Setting("damping coefficient", None, 0, 1e8, "N m s/rad")]
+    damping_nms_per_rad: Annotated[float, within("damping coefficient", 0, 1e8, "N m s/rad")]
 
 
 @dataclass(frozen=True, slots=True)
 class Wheel:
     """One of the four wheels: a rigid cylinder."""
 
-    mass_kg: Annotated[float, Setting("mass of one wheel", None, 0.005, 2e4, "kg")]
-    radius_m: Annotated[float, Setting("radius", None, 0.02, 3, "m")]
-    width_m: Annotated[float, Setting("width", None, 0.005, 3, "m")]
+    mass_kg: Annotated[float, within("mass of one wheel", 0.005, 2e4, "kg")]
+    radius_m: Annotated[float, within("radius", 0.02, 3, "m")]
+    width_m: Annotated[float, within("width", 0.005, 3, "m")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,29 +101,23 @@ class Vehicle:
 
     name: str
     description: str
-    wheelbase_m: Annotated[float, Setting("distance between the axles", None, 0.1, 20, "m")]
-    track_m: Annotated[float, Setting("distance between the wheel centres of one axle", None, 0.05, 15, "m")]
+    wheelbase_m: Annotated[float, within("distance between the axles", 0.1, 20, "m")]
+    track_m: Annotated[float, within("distance between the wheel centres of one axle", 0.05, 15, "m")]
     speed_mps: Annotated[
         float,
-        Setting(
-            "the speed of every drive; C_r depends on it, so choose the speed at which you will drive",
-            None,
-            0.05,
-            15,
-            "m/s",
+        within(
+            "the speed of every drive; C_r depends on it, so choose the speed at which you will drive", 0.05, 15, "m/s"
         ),
     ]
-    slope_limit_deg: Annotated[float, Setting("steeper tiles are class 3 and not passable", None, 3, 60, "deg")]
+    slope_limit_deg: Annotated[float, within("steeper tiles are class 3 and not passable", 3, 60, "deg")]
     ride_weight: Annotated[
         float,
-        Setting(
-            "the detour that is acceptable to avoid one radian of pitch motion; a preference", None, 0, 1000, "m/rad"
-        ),
+        within("the detour that is acceptable to avoid one radian of pitch motion; a preference", 0, 1000, "m/rad"),
     ] = field(default=5.0, kw_only=True)
     """cost = 1 + ride_weight * c_r + fail_weight * hazard."""
     fail_weight: Annotated[
-        float, Setting("the detour that is acceptable to avoid one failure; a preference", None, 0, 100_000, "m")
-    ] = field(default=DEFAULT_FAIL_WEIGHT, kw_only=True)
+        float, within("the detour that is acceptable to avoid one failure; a preference", 0, 100_000, "m")
+    ] = field(default=300.0, kw_only=True)
     chassis: Chassis
     belly: Belly
     rocker: Rocker
@@ -182,7 +161,7 @@ class Vehicle:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the profile as a nested dictionary, as in its TOML file."""
-        plain: dict[str, Any] = plain_lists(asdict(self))
+        plain: dict[str, Any] = plain_json(self)
         return plain
 
     @classmethod
@@ -193,27 +172,80 @@ class Vehicle:
         BadInputError, whose message lists all faults, if a key is unknown or missing, or a value is of the wrong type
         or not plausible.
         """
-        completed, _, of_whole = estimate_profile(record)
-        arguments, faults = parse_record(completed, cls, Path(), complete=True)
-        if completed is not record:  # a short profile does not lack what would be estimated
-            estimated = tuple(f"missing {name}:" for name in ESTIMATED)
-            faults = of_whole + [fault for fault in faults if not fault.startswith(estimated)]
+        arguments, faults, estimates = _parsed(record)
         if not faults:
             profile = cls(**arguments)
-            profile = replace(profile, body=Body(**body_table(profile.to_dict())))
+            profile = replace(profile, body=_outline(profile))
             faults = [
                 f"{key} is {short_repr(text)}; it must be a text of one line that is not empty"
                 for key, text in (("name", profile.name), ("description", profile.description))
                 if not (text.strip() and text.isprintable())
             ]
             faults += [*_size_faults(profile), *_mass_faults(profile, record.get("mass_kg", profile.mass_kg))]
-        lacking = completed is record and any(fault.startswith("missing") for fault in faults)
+        lacking = estimates is None and any(fault.startswith("missing") for fault in faults)
         refuse_faults(faults, origin, BadInputError, f"; {_SCHEMA}{_SHORT if lacking else ''}")
         return profile
 
 
-KEYS = profile_keys(Vehicle)
+def _parsed(record: Any) -> tuple[dict[str, Any], list[str], dict[str, Any] | None]:
+    """Return the arguments of a `Vehicle`, the faults of its record, and what was estimated, by key; None: nothing.
+
+    Estimated is what a short profile, which has ``mass_kg`` or ``suspension``, leaves out; what it gives stays.
+    """
+    short = {key: record[key] for key in declared_fields(Whole) if isinstance(record, dict) and key in record}
+    if not short:
+        return *parse_record(record, Vehicle, Path(), complete=True), None
+    whole, faults = parse_record(short, Whole, Path(), complete=True)
+    rest: dict[str, Any] = {name.partition(".")[0]: {} for name in ESTIMATED}
+    rest |= {key: value for key, value in record.items() if key not in short}
+    lacks = tuple(f"missing {name}:" for name in ESTIMATED)
+    faults += [fault for fault in parse_record(rest, Vehicle, Path(), complete=True)[1] if not fault.startswith(lacks)]
+    if faults:
+        return {}, faults, {}
+    found = estimate(Whole(**whole), rest)
+    if found["chassis"]["mass_kg"] <= 0:
+        return {}, [f"mass_kg is {whole['mass_kg']:g}, and rockers and wheels alone weigh that much"], {}
+    full = rest | {name: own | rest[name] for name, own in found.items()}
+    estimates = {f"{name}.{key}": own[key] for name, own in found.items() for key in own if key not in rest[name]}
+    return *parse_record(full, Vehicle, Path(), complete=True), estimates
+
+
+def _outline(vehicle: Vehicle) -> Body:
+    """Return the ``[body]`` of a profile, with defaults for what it leaves out, to centimetres.
+
+    Height: the wheels' or the belly's clearance, the higher, plus 0.7 of the track. Width: the wider of belly and
+    wheels. Brush: the belly's clearance, so that whatever reaches the belly is an obstacle.
+    """
+    clearance = vehicle.belly.clearance_m
+    height = round(max(2 * vehicle.wheel.radius_m, clearance) + _TALL * vehicle.track_m, 2)
+    usual = {"height_m": height, "width_m": round(vehicle.width_m, 2), "brush_stem_m": clearance}
+    return Body(**usual | {name: value for name, value in asdict(vehicle.body).items() if not math.isnan(value)})
+
+
+def _keys(owner: Any, table: str = "") -> tuple[Declared, ...]:
+    """Return the quantities of a dataclass and of its nested dataclasses, in the order of the file.
+
+    Names hold the table, such as ``chassis.mass_kg``. A default is NaN if it follows from other keys.
+    """
+    found: list[Declared] = []
+    for each in declared_fields(owner).values():
+        name = f"{table}.{each.name}".lstrip(".")
+        if each.setting is not None:
+            found.append(replace(each, name=name))
+        elif is_dataclass(each.kind) and not each.optional:
+            found += _keys(each.kind, name)
+    return tuple(found)
+
+
+KEYS = _keys(Vehicle)
 """All numeric keys of a profile, in the order of the file."""
+
+
+def flat_profile(vehicle: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a profile, as in its TOML file, by names such as ``belly.length_m``."""
+    tables = {name: part for name, part in vehicle.items() if isinstance(part, dict)}
+    rest = {name: value for name, value in vehicle.items() if name not in tables}
+    return rest | {f"{name}.{key}": value for name, part in tables.items() for key, value in part.items()}
 
 
 def _profile_record(name_or_path: str | Path) -> tuple[dict[str, Any], str]:
@@ -239,7 +271,7 @@ def shipped_profiles() -> list[str]:
 
 def estimated_values(name_or_path: str | Path) -> dict[str, Any]:
     """Return what a short profile leaves out and `Vehicle.load` estimates, by key, such as ``chassis.com_height_m``."""
-    return estimate_profile(_profile_record(name_or_path)[0])[1]
+    return _parsed(_profile_record(name_or_path)[0])[2] or {}
 
 
 def _size_faults(profile: Vehicle) -> Iterator[str]:
@@ -366,7 +398,7 @@ def profile_template(name: str, like: str | None) -> str:
     lines += [f"name = {json.dumps(name)}", "# A one-line description."]
     lines.append(f"description = {json.dumps(description, ensure_ascii=False)}")
     if like is None:
-        (mass,) = profile_keys(Whole)
+        (mass,) = _keys(Whole)
         lines += [_about(mass), f'mass_kg = "{UNFILLED}"', f"# {SUSPENSION}", f'suspension = "{UNFILLED}"']
     table = ""
     for key in keys:
@@ -380,84 +412,3 @@ def _about(key: Declared) -> str:
     """Return the comment above a value."""
     what = key.setting.help.replace("`", "") if key.setting else ""
     return f"# {what[0].upper()}{what[1:]} ({allowed_values(key.kind, key.setting)})."
-
-
-def find_calibration(vehicle: str | Path, file: Path | None = None, tile_size: float = 3.0) -> Calibration:
-    """Find the calibration of a vehicle, an included one for tiles of ``tile_size`` (3, 5 or 6 m).
-
-    ``vehicle``: name of an included vehicle, or a TOML file, whose calibration is the JSON file of the same name beside
-    it. If there is none and the profile equals that of an included vehicle, the calibration of that is used. Name,
-    description and weights are those of the TOML file. ``file``: a calibration file; ``vehicle`` is then ignored.
-
-    Raises UsageError if there is no vehicle of that name, or no such file; BadInputError if profile or calibration
-    cannot be read, or are of different vehicles.
-    """
-    if file is not None:
-        return _checked(Calibration.load(file), str(file))
-    profile = Vehicle.load(vehicle)
-    if str(vehicle) in shipped_calibrations():
-        return Calibration.shipped(str(vehicle), tile_size)
-    path = Path(vehicle)
-    beside = path.with_suffix(".json")
-    again = f"bumpymap calibrate --vehicle {shlex.quote(str(path))} --out {shlex.quote(str(beside))}"
-    if beside.exists():
-        calibration = _checked(Calibration.load(beside), str(beside))
-        try:
-            return calibration.with_preferences(profile.to_dict(), str(beside))
-        except BadInputError as error:
-            raise BadInputError(f"{error}. Calibrate for the vehicle of {path}: {again} --overwrite") from error
-    for name in shipped_calibrations():
-        try:
-            return Calibration.shipped(name, tile_size).with_preferences(profile.to_dict(), name)
-        except BadInputError:  # another vehicle
-            continue
-    raise BadInputError(
-        f"there is no calibration of {path}: {beside} does not exist. Make it: {again} (--quick makes a rough one)"
-    )
-
-
-def map_calibration(
-    manifest: Mapping[str, Any], tile_size: float, file: Path | None = None, *, follow_paths: bool = False
-) -> Calibration:
-    """Find the calibration that a map was made with, at the speed of the map.
-
-    ``manifest``: the content of its run.json; ``tile_size``: m; ``file``: the calibration, None: an included one with
-    the preferences in run.json, or with ``follow_paths`` where run.json says that it was: a folder that somebody else
-    made may name any path.
-
-    Raises UsageError: it is not found; BadInputError: it is another one, or cannot be read.
-    """
-    about, wanted = manifest["vehicle"], manifest.get("calibration", {}).get("id", "")
-    settings = manifest.get("settings", {}) if follow_paths else {}
-    named, vehicle = file or settings.get("calibration"), str(settings.get("vehicle") or about["name"])
-    speed = float(about["speed_mps"]) if "drives_mps" in about else None
-    if not named:
-        preferences = manifest.get("calibration", {}).get("preferences", {})
-        for name in sorted(shipped_calibrations(), key=lambda name: name != about["name"]):
-            own = Calibration.shipped(name, tile_size)
-            with suppress(BadInputError, UsageError, TypeError):  # another vehicle, or preferences that make no sense
-                profile = {**own.vehicle, **preferences}
-                Vehicle.from_dict(profile, name)
-                included = at_speed(own.with_preferences(profile, name), speed)
-                if included.id == wanted:
-                    return included
-    try:
-        found = at_speed(find_calibration(vehicle, Path(named) if named else None, tile_size), speed)
-    except (BadInputError, UsageError) as error:
-        if file is not None:
-            raise
-        raise UsageError(
-            f"the calibration {wanted} of the map is not found ({error}). Give its file with `calibration`"
-        ) from error
-    if found.id != wanted:
-        raise BadInputError(
-            f"the map was made with the calibration {wanted} of {about['name']}; {named or vehicle} holds {found.id}. "
-            "Give the file of the map's own with `calibration`, or map the survey again"
-        )
-    return found
-
-
-def _checked(calibration: Calibration, origin: str) -> Calibration:
-    """Check the stored vehicle like a profile before it is used."""
-    Vehicle.from_dict(calibration.vehicle, f"{origin}, vehicle")
-    return calibration

@@ -11,7 +11,6 @@ angles to the vehicle. Where the vehicle is across the line is known to ``sigma`
 of Gauss-Hermite quadrature.
 """
 
-import json
 import math
 import os
 from collections.abc import Sequence
@@ -33,7 +32,6 @@ from bumpymap.core import (
     UsageError,
     interval_log_sd,
     loops,
-    parse_json,
     path_of_call,
 )
 from bumpymap.layers import MapReader, common_window, open_map
@@ -43,6 +41,7 @@ from bumpymap.rating import (
     MotionOperator,
     RideOperator,
     SpeedRating,
+    Vehicle,
     at_speed,
     chassis_response,
     felt_along,
@@ -180,10 +179,10 @@ class LineVehicle(NamedTuple):
         needed = motion or not wanted == own == calibration.map_speed
         speeds = tuple(dict.fromkeys((own, wanted)))
         every = tuple(dict.fromkeys((*speeds, calibration.map_speed))) if needed else ()
-        operator, moving = _operators(json.dumps(calibration.vehicle), every, grid.tile_size, grid.pixels)
+        operator, moving = _operators(calibration.profile, every, grid.tile_size, grid.pixels)
         rating = None if moving is None else SpeedRating(calibration, speeds, moving)
         way = grid.pixel_size / operator.fine / 2
-        taps = chassis_response(calibration.vehicle, way)
+        taps = chassis_response(calibration.profile, way)
         stretch = math.ceil(grid.tile_size / 2 / way)
         reach = len(taps) + max(stretch, len(heave_filter(wanted, way)[0]) // 2 if rating is not None else 0)
         correction, drive_log_sd = Correction.from_record(calibration.ride), site.rule.drive_log_sd
@@ -192,12 +191,11 @@ class LineVehicle(NamedTuple):
 
 @lru_cache(maxsize=4)
 def _operators(
-    vehicle: str, speeds: tuple[float, ...], tile_size: float, pixels: int
+    vehicle: Vehicle, speeds: tuple[float, ...], tile_size: float, pixels: int
 ) -> tuple[RideOperator, MotionOperator | None]:
-    """Make the operators of a vehicle profile, in JSON: it takes as long as 1 km of a line; lines are often short."""
-    profile = parse_json(vehicle)
-    moving = MotionOperator.of(profile, tile_size, pixels, speeds) if speeds else None
-    return RideOperator.of(profile, tile_size, pixels), moving
+    """Make the operators of a vehicle: it takes as long as 1 km of a line; lines are often short."""
+    moving = MotionOperator.of(vehicle, tile_size, pixels, speeds) if speeds else None
+    return RideOperator.of(vehicle, tile_size, pixels), moving
 
 
 def ride_along(

@@ -36,8 +36,6 @@ def _compared(sums: LineSums) -> tuple[Ints, Ints]:
     cells = lined >> 16
     if len(np.unique(cells[ground])) > _CLASSIFIED_SHARE * len(np.unique(cells)):
         return lined[ground], rows[ground, 1:]
-    if not len(rows):
-        return lined, rows[:, 1:]
     first = np.flatnonzero(np.diff(lined, prepend=-1))
     return lined[first], np.add.reduceat(rows[:, 1:], first, axis=0)
 
@@ -74,23 +72,18 @@ def _fit(one: Ints, two: Ints) -> tuple[Floats, Floats, Floats, NDArray[np.bool_
     its standard error, (n,) each, m; and whether the points determine a slope, (n,).
     """
     # About the first line's height, in integers: squares of heights above sea would lose the millimetres.
-    level = np.rint(one[:, 3] / one[:, 0]).astype(np.int64) if len(one) else np.zeros(0, np.int64)
-    means, moments = [], []
-    for sums in (one, two):
-        mean, moment = _moments(sums, level)
-        means.append(mean)
-        moments.append(moment)
-    within = moments[0] + moments[1]
-    xx, xy, yy, xz, yz, zz = within
+    level = np.rint(one[:, 3] / one[:, 0]).astype(np.int64)
+    (first, about_first), (second, about_second) = (_moments(sums, level) for sums in (one, two))
+    xx, xy, yy, xz, yz, zz = about_first + about_second
     area = xx * yy - xy * xy
     known = area > _ILL_CONDITIONED * np.maximum(xx, yy) ** 2
     area = np.where(known, area, 1.0)
     east, north = (yy * xz - xy * yz) / area, (xx * yz - xy * xz) / area
     counts = one[:, 0] + two[:, 0]
     scatter = np.maximum(zz - east * xz - north * yz, 0.0) / np.maximum(counts - 4, 1)
-    dx, dy, dz = means[1] - means[0]
+    dx, dy, dz = second - first
     leverage = (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / area
-    variance = scatter * (1 / one[:, 0] + 1 / two[:, 0] + leverage) if len(one) else scatter
+    variance = scatter * (1 / one[:, 0] + 1 / two[:, 0] + leverage)
     place = (one[:, 1:3] + two[:, 1:3]).T / np.maximum(counts, 1) / QUANTA
     step = (dz - east * dx - north * dy) / QUANTA
     return place, step, np.sqrt(variance / QUANTA**2 + _SMALLEST_ERROR**2), known
@@ -192,12 +185,19 @@ def describe_lines(found: FlightLines) -> str:
 
 
 def _pair(lines: int, easting: Floats, northing: Floats, step: Floats, error: Floats) -> LinePair:
+    root = 1 / error
     weights = 1 / error**2
     middle = weighted_median(step, weights)
     spread = 1.4826 * weighted_median(np.abs(step - middle), weights)
     held = np.abs(step - middle) <= max(_OUTER * spread, 1e-6)
-    design = np.column_stack([np.ones_like(easting), easting - easting.mean(), northing - northing.mean()])
-    tilt, fitted = _tilt(design, step, error, held, middle)
+    tilt, fitted = (0.0, 0.0), np.full(len(step), middle)
+    if np.count_nonzero(held) >= _LEAST_FOR_TILT:
+        design = np.column_stack([np.ones_like(easting), easting - easting.mean(), northing - northing.mean()])
+        weighted = design * root[:, None]
+        fit = np.linalg.lstsq(weighted[held], (step * root)[held], rcond=None)[0]
+        left = ((step * root - weighted @ fit)[held] ** 2).sum()
+        if left <= (1 - _EXPLAINED) * (((step - middle) * root)[held] ** 2).sum():
+            tilt, fitted = (round(float(fit[1]), 6), round(float(fit[2]), 6)), weighted @ fit / root
     sure = any(tilt) or abs(middle) > _SURE * 1.2533 * spread / len(step) ** 0.5
     return LinePair(
         lines=(lines >> 16, lines & 0xFFFF),
@@ -207,22 +207,3 @@ def _pair(lines: int, easting: Floats, northing: Floats, step: Floats, error: Fl
         tilt=tilt,
         largest=round(float(np.quantile(np.abs(fitted), 0.9)), 5) if sure else 0.0,
     )
-
-
-def _tilt(
-    design: Floats, step: Floats, error: Floats, held: NDArray[np.bool_], middle: float
-) -> tuple[tuple[float, float], Floats]:
-    """Return the growth of the step to the east and north, and the step at each cell, m.
-
-    ``design`` (n, 3): 1, easting, northing; ``held`` (n,): the cells that determine a tilt.
-    """
-    level = np.full(len(step), middle)
-    if np.count_nonzero(held) < _LEAST_FOR_TILT:
-        return (0.0, 0.0), level
-    root = 1 / error
-    weighted = design * root[:, None]
-    fit = np.linalg.lstsq(weighted[held], (step * root)[held], rcond=None)[0]
-    left = ((step * root - weighted @ fit)[held] ** 2).sum()
-    if left > (1 - _EXPLAINED) * (((step - middle) * root)[held] ** 2).sum():
-        return (0.0, 0.0), level
-    return (round(float(fit[1]), 6), round(float(fit[2]), 6)), weighted @ fit / root

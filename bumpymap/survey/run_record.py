@@ -7,8 +7,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import date
 from functools import partial
+from logging.handlers import QueueHandler
 from os.path import abspath
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 from bumpymap.core import (
@@ -39,40 +41,27 @@ from bumpymap.survey.inputs import SurveyInputs
 from bumpymap.survey.tile_rating import RatingModels
 
 
-class WarningCollector(logging.Handler):
-    """Keeps warnings, those of the thread that made it or of all, as messages."""
-
-    def __init__(self, *, every_thread: bool = False) -> None:
-        super().__init__(logging.WARNING)
-        self.kept: list[str] = []
-        self._thread = None if every_thread else threading.get_ident()
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Keep a record."""
-        try:
-            if self._thread in {None, record.thread}:
-                self.kept.append(record.getMessage())
-        except Exception:  # noqa: BLE001 (a log call with wrong arguments must not end a run)
-            self.handleError(record)
-
-
 @contextmanager
 def collected_warnings(*, alone: bool = False) -> Iterator[list[str]]:
-    """Collect the warnings of this thread during the body, beside their being logged.
+    """Collect the warnings of this thread during the body, beside their being logged; the list is filled at its end.
 
     ``alone``: instead of that, those of all threads, and of the engine.
     """
-    collector = WarningCollector(every_thread=alone)
+    kept, said, thread = list[str](), SimpleQueue[logging.LogRecord](), threading.get_ident()
+    collector = QueueHandler(said)
+    collector.setLevel(logging.WARNING)
+    collector.addFilter(lambda record: alone or record.thread == thread)
     loggers = [logging.getLogger(name) for name in (("bumpymap", "bumpytiles") if alone else ("bumpymap",))]
     before = [(logger.handlers, logger.propagate) for logger in loggers]
     for logger in loggers:
         logger.handlers = [collector] if alone else [*logger.handlers, collector]
         logger.propagate = logger.propagate and not alone
     try:
-        yield collector.kept
+        yield kept
     finally:
         for logger, (handlers, propagate) in zip(loggers, before, strict=True):
             logger.handlers, logger.propagate = handlers, propagate
+        kept += [said.get().getMessage() for _ in range(said.qsize())]
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,20 +213,20 @@ def run_manifest(
         **({"photo": run_spec["made with"]["photo"]} if config.photo else {}),
         "calibration": {
             "id": calibration.id,
-            "vehicle": calibration.vehicle["name"],
+            "vehicle": calibration.profile.name,
             "preferences": calibration.preferences,
             "class_limits": calibration.map_limits,
             **({"floor_radpm": calibration.map_floor} if calibration.map_floor else {}),
             **({"model_error": error} if error else {}),
         },
         "vehicle": {
-            "name": calibration.vehicle["name"],
+            "name": calibration.profile.name,
             "width_m": calibration.body.width_m,
             "height_m": calibration.body.height_m,
             "clearance_m": calibration.body.clearance_m,
             "speed_mps": calibration.map_speed,
         }
-        | ({} if config.speed is None else {"drives_mps": float(calibration.vehicle["speed_mps"])}),
+        | ({} if config.speed is None else {"drives_mps": calibration.profile.speed_mps}),
         "seconds": seconds,
     }
 

@@ -274,7 +274,7 @@ import operator
 import bumpymap
 from bumpymap.lab.simulate.jobs import run_in_processes
 if __name__ == "__main__":
-    assert list(run_in_processes(operator.neg, [1, 2], 2)) == [-1, -2]
+    assert sorted(run_in_processes(operator.neg, [1, 2], 2)) == [(0, -1), (1, -2)]
     bumpymap.map_survey("surveys/a.laz", "new", overwrite=True)
 """
 

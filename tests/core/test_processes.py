@@ -67,7 +67,7 @@ import multiprocessing, operator, os
 from bumpymap.lab.simulate.jobs import run_in_processes
 
 def work():
-    os._exit(sum(run_in_processes(operator.neg, [-1, -2], 2)))
+    os._exit(sum(made for _, made in run_in_processes(operator.neg, [-1, -2], 2)))
 
 process = multiprocessing.get_context("fork").Process(target=work, daemon=True)
 process.start()

@@ -19,7 +19,7 @@ def made_up(seed=1, spread=0.1, count=COUNT):
     rng = np.random.default_rng(seed)
     g = np.exp(rng.uniform(np.log(0.005), np.log(1.5), count))
     uneven, twist = np.exp(0.25 + 0.1 * rng.random(count)), rng.uniform(0.5, 2, count)
-    rides = Rides(g, g * uneven, g / 3, g / 3, g / 4 * twist, np.minimum(g, 0.8), g / 2, g / 9)
+    rides = Rides(g, g * uneven, g / 3, g / 4 * twist, np.minimum(g, 0.8), g / 2, g / 9)
     truth = np.exp(0.2 + 1.1 * np.log(g) + spread * rng.standard_normal(count))
     chance = 1 / (1 + np.exp(-6 * (np.log(g) + 0.2)))
     failed = rng.binomial(8, chance)

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.rating.calibration import Calibration, shipped_calibrations
-from bumpymap.rating.vehicle_profile import find_calibration, map_calibration
+from bumpymap.rating import Calibration, find_calibration, map_calibration, shipped_calibrations
 
 VEHICLE = Calibration.shipped("warthog").vehicle
 DATA = Path(__file__).parents[2] / "bumpymap" / "rating" / "data"
@@ -59,14 +58,18 @@ def test_every_shipped_calibration_knows_its_vehicle_and_has_a_ride_model(name):
         ({"version": 1}, "version 1; this bumpymap reads version 2. Make one with: bumpymap calibrate --vehicle"),
         *(({name: ...}, "damaged calibration: KeyError") for name in ("ride", "thin", "steps", "motion")),
         ({"ride": {"c_r": [float("inf")]}}, "damaged"),
-        ({"motion": {"map_speed_mps": 0.0}}, "damaged"),
-        ({"vehicle": {}}, "damaged"),
-        *(({"vehicle": VEHICLE | wrong}, "damaged") for wrong in ({"fail_weight": -1.0}, {"speed_mps": 0.0})),
-        *(({"vehicle": VEHICLE | {"floor": {"c_r_radpm": wrong}}}, "damaged") for wrong in (-0.1, "much", math.nan)),
-        ({"class_limits": [0.1, 0.2]}, "damaged"),
-        ({"class_c_r": [0.1, 0.2, 0.3, None]}, "damaged"),
-        ({"c_r": [[None] + [0.1] * 13] * 4}, "damaged"),
-        ({"p_fail": [[float("nan")] * 14] * 4}, "damaged"),
+        ({"motion": {"map_speed_mps": 0.0}}, "motion.map_speed_mps is '0.0'"),
+        ({"vehicle": {}}, "c.json, vehicle: .* errors"),
+        *(({"vehicle": VEHICLE | wrong}, "c.json, vehicle") for wrong in ({"fail_weight": -1.0}, {"speed_mps": 0.0})),
+        *(
+            ({"vehicle": VEHICLE | {"floor": {"c_r_radpm": wrong}}}, "c.json, vehicle: floor.c_r_radpm is")
+            for wrong in (-0.1, "much", math.nan)
+        ),
+        ({"class_limits": [0.1, 0.2]}, "class_limits is .* it must be an array of 3"),
+        ({"class_limits": [0.1, 0.3, 0.2]}, "class_limits must be increasing"),
+        ({"class_c_r": [0.1, 0.2, 0.3, None]}, "class_c_r.3 is 'None'; it must be a number"),
+        ({"c_r": [[None] + [0.1] * 13] * 4}, "known at the lowest z range"),
+        ({"p_fail": [[float("nan")] * 14] * 4}, "p_fail.0.0 is 'nan'; it must be a number from 0 to 1"),
         ({"textures": ["a", "b", "c", "d"]}, "damaged"),
     ],
 )

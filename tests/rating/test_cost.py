@@ -18,7 +18,7 @@ from bumpymap.rating import RideModel, Vehicle, apply_steps, find_calibration
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.cost import PAPER_TABLE, rate, rate_as_paper
 from bumpymap.rating.steps import STEP_COLUMNS
-from bumpymap.rating.vehicle_body import with_floor
+from bumpymap.rating.vehicle_body import Floor, with_floor
 
 SCALE = {"flat": 0.01, "low_noise": 0.1, "noise_sin": 0.4, "high_noise": 0.8}
 LADDER = (0.02, 0.1, 0.5, 2.5)
@@ -254,15 +254,12 @@ def test_steps_are_rated_on_top_of_the_ground_alone():
 def test_a_floor_is_no_property_of_the_drives(tmp_path):
     """A profile may change it without a new calibration, and a calibration without one loads as before."""
     assert SHIPPED.floor == 0.0
-    profile = Vehicle.load("warthog").to_dict()
-    assert profile["floor"] == {"c_r_radpm": 0.0}
+    profile = Vehicle.load("warthog")
     assert SHIPPED.with_preferences(profile, "x") is SHIPPED
-    given = SHIPPED.with_preferences(profile | {"floor": {"c_r_radpm": 0.03}}, "x")
+    given = SHIPPED.with_preferences(replace(profile, floor=Floor(0.03)), "x")
     assert given.floor == 0.03
     assert given.id != SHIPPED.id
     assert given.with_preferences(profile, "x").floor == 0.0
-    without = {key: value for key, value in profile.items() if key != "floor"}
-    assert given.with_preferences(without, "x").floor == 0.0
     path = tmp_path / "mine.json"
     path.write_text(given.to_json())
     assert find_calibration("warthog", path).floor == 0.03

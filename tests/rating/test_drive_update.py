@@ -238,6 +238,6 @@ def test_the_file_reads_back_and_fits_the_vehicle():
     again = Calibration.from_json(new.to_json(), "moved.json")
     assert again.id == new.id != CALIBRATION.id
     assert again.settings["moved_to_drives"] == {"way_m": 512.0}
-    vehicle = CALIBRATION.vehicle
-    assert again.vehicle == vehicle
-    assert new.with_preferences(vehicle | {"ride_weight": 9.0}, "moved.json").vehicle["ride_weight"] == 9.0
+    assert again.vehicle == CALIBRATION.vehicle
+    mine = replace(CALIBRATION.profile, ride_weight=9.0)
+    assert new.with_preferences(mine, "moved.json").vehicle["ride_weight"] == 9.0

@@ -62,7 +62,7 @@ def test_c_r_by_heading_has_the_mean_of_the_tile_which_is_all_that_few_points_te
     by_axis, tiles = np.stack(list(found.values()), axis=-1), bands(maps / "headings" / "rasters/roughness.tif")
     np.testing.assert_array_equal(by_axis, site.headings(site.window))
     c_r, dense = tiles["c_r"], tiles["coverage"] > 0.75
-    counts = np.diff(RideModel(Calibration.shipped("warthog")).operator.axes.bounds)
+    counts = np.diff(RideModel(Calibration.shipped("warthog")).operator.samples.bounds[1:])
     np.testing.assert_allclose(np.average(by_axis, axis=2, weights=counts), c_r, rtol=1e-5)
     thin = np.isfinite(c_r) & (tiles["coverage"] < 0.35)
     assert thin.sum() > 10

@@ -164,23 +164,19 @@ def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
     """
     values = np.sort(values)
     x, n = values - values.mean(), len(values)
-    total = np.concatenate([[0.0], np.cumsum(x)])
-    square = np.concatenate([[0.0], np.cumsum(x**2)])
-    best = np.full(n + 1, np.inf)
-    best[0] = 0.0
-    cut = np.zeros((groups, n + 1), dtype=np.int64)
-    for group in range(groups):
-        following = np.full(n + 1, np.inf)
-        for i in range(group + 1, n + 1):
-            j = np.arange(group, i)
-            spread = square[i] - square[j] - (total[i] - total[j]) ** 2 / (i - j)
-            cost = best[j] + np.maximum(spread, 0.0)
-            cut[group, i] = j[np.argmin(cost)]
-            following[i] = cost.min()
-        best = following
+    total, square = (np.concatenate(([0.0], np.cumsum(each))) for each in (x, x**2))
+    first, end = np.arange(n + 1)[:, None], np.arange(n + 1)
+    spread = square - square[:, None] - (total - total[:, None]) ** 2 / np.maximum(end - first, 1)
+    spread = np.where(first < end, np.maximum(spread, 0.0), np.inf)  # of one group, from first to end
+    best, cuts = spread[0], []
+    for _ in range(groups - 1):
+        each = best[:, None] + spread
+        best = each.min(axis=0)
+        cuts.append(each.argmin(axis=0))
     edges = [n]
-    for group in reversed(range(groups)):
-        edges.append(int(cut[group, edges[-1]]))
+    for cut in reversed(cuts):
+        edges.append(int(cut[edges[-1]]))
+    edges.append(0)
     centre = [float(values[a:b].mean()) for a, b in pairwise(edges[::-1])]
     return [(a + b) / 2 for a, b in pairwise(centre)]
 

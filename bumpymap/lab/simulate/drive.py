@@ -201,7 +201,7 @@ def drive_patch(
 def calibrated_settings(calibration: Calibration) -> CalibrationSettings:
     """Return the settings of the vehicle, the seed and the tiles that a calibration was made with."""
     return CalibrationSettings(
-        Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}"),
+        calibration.profile,
         seed=int(calibration.settings.get("seed", 1)),
         tile_size=calibration.tile_size,
         pixels=calibration.pixels,

@@ -155,8 +155,10 @@ def drive_jobs(
     report = progress or (lambda _done, _total: None)
     report(done, total)
     workers = min(workers, len(left))
-    with nullcontext(map(task, left)) if workers <= 1 else closing(run_in_processes(task, left, workers)) as results:
-        for job, drives in zip(left, results, strict=True):
+    alone = workers <= 1
+    with nullcontext(enumerate(map(task, left))) if alone else closing(run_in_processes(task, left, workers)) as ends:
+        for number, drives in ends:
+            job = left[number]
             driven[job.key] = drives
             if journal:
                 journal.add(job.key, drives)
@@ -167,15 +169,13 @@ def drive_jobs(
 
 def run_in_processes(
     task: Callable[[Task], Result], jobs: Sequence[Task], workers: int
-) -> Generator[Result, None, None]:
-    """Run jobs in child processes and yield their results in order; an idle worker gets the next job.
+) -> Generator[tuple[int, Result], None, None]:
+    """Run jobs in child processes and yield their numbers and results as they end; an idle worker gets the next job.
 
     Closing the generator ends the workers. ``task``, jobs and results must be picklable; what ``task`` raises is raised
     here, and BumpymapError if a worker died.
     """
     calls = call_in_children("for the simulation", __name__, "attempt", ((task, job) for job in jobs), workers)
-    finished: dict[int, Result] = {}
-    wanted = 0
     # Results of running jobs are no longer needed after an error, and the jobs would go on for many seconds.
     with closing(calls) as ends:
         for number, _, end in ends:
@@ -186,12 +186,10 @@ def run_in_processes(
                 ) from end
             if isinstance(end, ChildError):
                 raise end
-            finished[number], error = end
+            result, error = end
             if error is not None:
                 raise error
-            while wanted in finished:
-                yield finished.pop(wanted)
-                wanted += 1
+            yield number, result
 
 
 def attempt(task: Callable[[Task], Result], job: Task) -> tuple[Result | None, Exception | None]:

@@ -22,7 +22,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Floats, OutputError, UsageError, install_command
+from bumpymap.core import Floats, OutputError, UsageError, install_command
 from bumpymap.lab.settings import Physics
 from bumpymap.rating import Vehicle
 
@@ -87,12 +87,6 @@ class PatchGround:
     def from_heights(cls, heights: NDArray[np.floating], tile_size: float) -> "PatchGround":
         """Make the ground of a heightmap (pixels, pixels) [m], north row first, without NaN."""
         values = np.asarray(heights, dtype=np.float64)
-        if values.ndim != 2 or values.shape[0] != values.shape[1] or values.shape[0] < 2:
-            raise BadInputError(f"a patch has shape {values.shape}; it must be square, 2 x 2 pixels or more")
-        if not np.isfinite(values).all():
-            raise BadInputError(
-                f"a patch has {int((~np.isfinite(values)).sum())} pixels that are NaN or infinite; fill holes first"
-            )
         plane, (east, north) = fit_plane(values)
         per_metre = values.shape[0] / tile_size
         residual = np.ascontiguousarray((values - plane)[::-1])

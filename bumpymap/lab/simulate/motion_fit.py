@@ -163,9 +163,9 @@ def fit_means(settings: CalibrationSettings, means: Floats, starts: int) -> Moti
     used = np.isfinite(means).all(axis=(1, 2)) & (c_r > _LEAST_C_R)
     places = [divmod(number, len(KINDS)) for number in np.flatnonzero(used).tolist()]
     tiles = [library_terrain(settings, KINDS[kind], index).heights for index, kind in places]
-    vehicle, speed = settings.profile.to_dict(), settings.profile.speed_mps
+    vehicle = settings.profile
     relief, _ = relief_and_slope(tiles, settings.tile_size)
-    speeds = tuple(ratio * speed for ratio in SPEED_RATIOS)
+    speeds = tuple(ratio * vehicle.speed_mps for ratio in SPEED_RATIOS)
     motions = move_over(relief, MotionOperator.of(vehicle, settings.tile_size, settings.pixels, speeds))
     pitch = roll_over(relief, RideOperator.of(vehicle, settings.tile_size, settings.pixels)).pitch_change
     log_speed, c_r = np.log(np.array(SPEED_RATIOS)), c_r[used]

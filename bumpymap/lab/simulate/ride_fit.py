@@ -143,7 +143,7 @@ class DrivenPatches:
 
 def fit_ride(profile: Vehicle, terrains: Sequence[Terrain], driven: Sequence[DrivenTerrain]) -> dict[str, Any]:
     """Fit a ride model to driven terrains and the drives over them (n each); the calibration's ``ride`` as JSON."""
-    operator = RideOperator.of(profile.to_dict(), terrains[0].tile_size, terrains[0].pixels)
+    operator = RideOperator.of(profile, terrains[0].tile_size, terrains[0].pixels)
     relief, slope = relief_and_slope([terrain.heights for terrain in terrains], terrains[0].tile_size)
     rides = roll_over(relief, operator)
     c_r, error = (np.array([getattr(each, name) for each in driven], np.float64) for name in ("c_r", "c_r_error"))
@@ -344,7 +344,7 @@ def fit_thin_surveys(profile: Vehicle, terrains: Sequence[Terrain], ride: dict[s
 
     ``terrains``: the ground of the library; ``ride``: the calibration's ride model.
     """
-    operator = RideOperator.of(profile.to_dict(), terrains[0].tile_size, terrains[0].pixels)
+    operator = RideOperator.of(profile, terrains[0].tile_size, terrains[0].pixels)
     correction = Correction.from_record(ride)
     relief, slope = relief_and_slope([terrain.heights for terrain in terrains], terrains[0].tile_size)
     none = np.zeros(len(terrains))

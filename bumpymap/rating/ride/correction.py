@@ -15,15 +15,14 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, loops
+from bumpymap.core import BadInputError, loops, plain_json
 from bumpymap.rating.ride.motion_operator import Rides
-from bumpymap.rating.vehicle_body import number_tuples, plain_lists
 
 Floats = NDArray[np.float64]
 TAIL = 0.1
@@ -95,7 +94,7 @@ class Coefficients:
         try:
             values = {f.name: record[f.name] for f in fields(cls)}
             kinds = {"origin": dict, **cls.parts}
-            made = cls(**{k: kinds.get(k, number_tuples)(v) for k, v in values.items()})
+            made = cls(**{k: kinds.get(k, _numbers)(v) for k, v in values.items()})
             made.require_lengths()
         except (LookupError, TypeError, ValueError) as error:
             raise BadInputError(
@@ -106,11 +105,16 @@ class Coefficients:
 
     def to_record(self) -> dict[str, Any]:
         """Return the coefficients as plain numbers for JSON."""
-        plain: dict[str, Any] = plain_lists(asdict(self))
+        plain: dict[str, Any] = plain_json(self)
         return plain
 
     def require_lengths(self) -> None:
         """Raise ValueError if there are too few or too many coefficients."""
+
+
+def _numbers(value: Any) -> Any:
+    """Return a number of JSON as a float, lists of them as tuples; raise ValueError or TypeError at anything else."""
+    return tuple(map(_numbers, value)) if isinstance(value, list | tuple) else float(value)
 
 
 @dataclass(frozen=True, slots=True)

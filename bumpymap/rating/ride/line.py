@@ -117,6 +117,6 @@ def felt_along(
     about = np.sqrt(np.maximum(mean(pitch**2) - mean(pitch) ** 2, 0.0))
     reaches, slopes = (np.tile(values, len(pitch)) for values in (reach, slope_deg))
     none = np.zeros(pitch.size)
-    rides = Rides(size.ravel(), rms.ravel(), about.ravel(), none, none, reaches, none, none)
+    rides = Rides(size.ravel(), rms.ravel(), about.ravel(), none, reaches, none, none)
     felt: Floats = np.exp(correction.without_noise(rides, slopes)).reshape(pitch.shape) * change / size
     return felt

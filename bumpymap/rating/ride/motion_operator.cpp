@@ -32,19 +32,17 @@ struct PitchSamples {
     Array<const Index> bounds;
 };
 
-struct RideOperator {
-    Index fine;
-    WheelShape wheel;
-    PitchSamples samples, axes;
-    Array<const std::int32_t, 3> wheel_node, belly_node;
-    Array<const float, 3> wheel_weight, belly_weight;
-    double wheelbase, track, belly_half, clearance;
-};
-
-struct MotionOperator {
+// Rows over the envelopes of a vehicle's wheels, which both of its operators have.
+struct WheelRows {
     Index fine;
     WheelShape wheel;
     PitchSamples samples;
+};
+
+struct Poses {
+    Array<const std::int32_t, 3> wheel_node, belly_node;
+    Array<const float, 3> wheel_weight, belly_weight;
+    double wheelbase, belly_half, clearance;
 };
 
 // ---- Wheels on the ground of a group ----
@@ -179,15 +177,15 @@ Means sample_means(const PitchSamples& samples, Index k, const std::vector<Heigh
     return means;
 }
 
-// Root mean squares of pitch, roll and twist, rad; and how far the ground reaches to the belly.
-std::array<Numbers, 4> pose_numbers(const RideOperator& vehicle, const Groups& groups) {
+// Root mean squares of pitch and twist, rad; and how far the ground reaches to the belly.
+std::array<Numbers, 3> pose_numbers(const Poses& vehicle, const Groups& groups) {
     const auto read = [](const std::vector<Heights>& heights, const std::int32_t* node, const float* weight, int lane) {
         double total = 0.0;
         for (int corner = 0; corner < 4; ++corner) total += weight[corner] * heights[node[corner]][lane];
         return total;
     };
-    std::array<Numbers, 4> found{};
-    auto& [pitches, rolls, twists, strike] = found;
+    std::array<Numbers, 3> found{};
+    auto& [pitches, twists, strike] = found;
     const Index number = vehicle.wheel_node.shape[0];
     for (Index p = 0; p < number; ++p) {
         for (int lane = 0; lane < group; ++lane) {
@@ -196,10 +194,8 @@ std::array<Numbers, 4> pose_numbers(const RideOperator& vehicle, const Groups& g
             };
             const double fl = wheel(0), fr = wheel(1), rl = wheel(2), rr = wheel(3);
             const double pitch = (fl + fr - rl - rr) / (2.0 * vehicle.wheelbase);
-            const double roll = (fl - fr + rl - rr) / (2.0 * vehicle.track);
             const double twist = (fl - fr - rl + rr) / (2.0 * vehicle.wheelbase);
             pitches[lane] += pitch * pitch;
-            rolls[lane] += roll * roll;
             twists[lane] += twist * twist;
             const double level = (fl + fr + rl + rr) / 4.0;
             for (int k = 0; k < 3; ++k) {
@@ -210,37 +206,20 @@ std::array<Numbers, 4> pose_numbers(const RideOperator& vehicle, const Groups& g
             }
         }
     }
-    for (Numbers* squares : {&pitches, &rolls, &twists}) {
+    for (Numbers* squares : {&pitches, &twists}) {
         for (double& square : *squares) square = std::sqrt(square / static_cast<double>(number));
     }
     return found;
 }
 
-// Rolls a vehicle over patches, plane-removed relief without holes, m; others than the known ones keep what `rides`
-// holds.
+// Rolls a vehicle over patches, plane-removed relief without holes, m; others than the known ones keep what is stored.
 //
-// `rides` (tiles, 6 or 14) is filled: mean and root mean square of the pitch change [rad/m]; root mean square of pitch,
-// roll and twist [rad]; reach of the ground towards the belly (1: it touches); mean pitch change by axis.
-void ride_patches(Array<const bool> known, Array<const float, 3> relief, RideOperator vehicle, Array<double, 2> rides) {
-    Groups groups(known, relief, vehicle.fine, vehicle.wheel);
-    while (groups.next()) {
-        const auto keep = [&](Index k, const Numbers& values) {
-            for (Index lane = 0; lane < std::ssize(groups.members); ++lane)
-                rides(groups.members[lane], k) = values[lane];
-        };
-        const Means change = sample_means(vehicle.samples, 0, groups.envelope);
-        keep(0, change.size);
-        keep(1, change.square);
-        Index next = 2;
-        for (const Numbers& values : pose_numbers(vehicle, groups)) keep(next++, values);
-        for (Index axis = 0; next < rides.shape[1]; ++axis)
-            keep(next++, sample_means(vehicle.axes, axis, groups.envelope).size);
-    }
-}
-
-// Fills mean absolute value and root mean square of each group of samples in `motions` (tiles, groups, 2).
-void move_over_patches(
-    Array<const bool> known, Array<const float, 3> relief, MotionOperator vehicle, Array<double, 3> motions) {
+// Fills mean absolute value and root mean square of each group of samples in `motions` (tiles, groups, 2); `look` sees
+// each group of patches.
+template <class Look>
+void roll(
+    Array<const bool> known, Array<const float, 3> relief, const WheelRows& vehicle, Array<double, 3> motions,
+    Look look) {
     Groups groups(known, relief, vehicle.fine, vehicle.wheel);
     while (groups.next()) {
         for (Index k = 0; k < motions.shape[1]; ++k) {
@@ -250,7 +229,25 @@ void move_over_patches(
                 motions(groups.members[lane], k, 1) = means.square[lane];
             }
         }
+        look(groups);
     }
+}
+
+void move_over_patches(
+    Array<const bool> known, Array<const float, 3> relief, WheelRows vehicle, Array<double, 3> motions) {
+    roll(known, relief, vehicle, motions, [](const Groups&) {});
+}
+
+// Fills `stands` (tiles, 3) too, see `pose_numbers`.
+void ride_patches(
+    Array<const bool> known, Array<const float, 3> relief, WheelRows vehicle, Poses poses, Array<double, 3> motions,
+    Array<double, 2> stands) {
+    roll(known, relief, vehicle, motions, [&](const Groups& groups) {
+        const std::array<Numbers, 3> found = pose_numbers(poses, groups);
+        for (Index lane = 0; lane < std::ssize(groups.members); ++lane) {
+            for (Index k = 0; k < 3; ++k) stands(groups.members[lane], k) = found[k][lane];
+        }
+    });
 }
 
 // ---- Wheels along a line ----
@@ -308,9 +305,7 @@ void roll_along(
 
 BUMPY_RECORD(bumpy::WheelShape, starts, row, col, rise)
 BUMPY_RECORD(bumpy::PitchSamples, starts, node, weight, bounds)
-BUMPY_RECORD(
-    bumpy::RideOperator, fine, wheel, samples, axes, wheel_node, wheel_weight, belly_node, belly_weight, wheelbase,
-    track, belly_half, clearance)
-BUMPY_RECORD(bumpy::MotionOperator, fine, wheel, samples)
+BUMPY_RECORD(bumpy::WheelRows, fine, wheel, samples)
+BUMPY_RECORD(bumpy::Poses, wheel_node, wheel_weight, belly_node, belly_weight, wheelbase, belly_half, clearance)
 
 BUMPY_LOOPS(motion_operator, ride_patches, move_over_patches, roll_along)

@@ -19,8 +19,8 @@ simulation from the facets of its ground.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,16 +28,17 @@ from numpy.typing import NDArray
 
 from bumpymap.core import AXES_DEG, loops
 from bumpymap.rating.ride.operator import (
+    NodeLattice,
     PitchSamples,
     RideOperator,
     WheelShape,
     chassis_response,
-    lattice_of,
+    joined,
     pitch_change,
     spread_places,
     wheel_rows,
-    wheel_shape,
 )
+from bumpymap.rating.vehicle_profile import Vehicle
 
 Floats = NDArray[np.float64]
 
@@ -56,8 +57,6 @@ class Rides:
     """(n,) its root mean square, rad/m."""
     pitch: NDArray[np.float64]
     """(n,) root mean square of the pitch about the patch's plane, rad."""
-    roll: NDArray[np.float64]
-    """(n,) the same of the roll, rad."""
     twist: NDArray[np.float64]
     """(n,) the same of the difference of the two sides' pitch, rad."""
     belly_reach: NDArray[np.float64]
@@ -77,12 +76,13 @@ def roll_over(relief_map: NDArray[np.float32], operator: RideOperator, by_axis: 
     """
     patches = np.ascontiguousarray(relief_map, np.float32)
     known = _without_holes(patches)
-    rides = np.full((len(relief_map), 6 if by_axis is None else 6 + len(AXES_DEG)), np.nan)
-    loops.ride_patches(known, patches, operator, rides)
+    motions = np.full((len(relief_map), 1 if by_axis is None else 1 + len(AXES_DEG), 2), np.nan)
+    stands = np.full((len(relief_map), 3), np.nan)
+    loops.ride_patches(known, patches, operator, operator, motions, stands)
     if by_axis is not None:
-        by_axis[:] = rides[:, 6:]
+        by_axis[:] = motions[:, 1:, 0]
     heights = _heights(np.where(known[:, None, None], patches, np.float32(np.nan)))
-    return Rides(*(*rides[:, :6].T.copy(), *heights))
+    return Rides(*(*motions[:, 0].T.copy(), *stands.T.copy(), *heights))
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,35 +105,22 @@ class MotionOperator:
     """m/s."""
     fine: int
     """Nodes along the side of a pixel."""
-    nodes: int
-    """Along the side of a patch."""
     wheel: WheelShape
     samples: PitchSamples
     """Groups: roll; then pitch and heave at each speed."""
 
     @classmethod
-    def of(
-        cls, vehicle: Mapping[str, Any], tile_size: float, pixels: int, speeds: Sequence[float]
-    ) -> "MotionOperator":  # fmt: skip
-        """Make the operator of a vehicle profile (the nested dictionary of its TOML file) for speeds [m/s]."""
-        radius = float(vehicle["wheel"]["radius_m"])
-        sides = float(vehicle["wheelbase_m"]), float(vehicle["track_m"])
-        fine, lattice = lattice_of(radius, tile_size, pixels)
-        places, way = spread_places(_SAMPLES, tile_size), lattice.step / 2
-        shares, back = np.array([1.0, -1.0]) / way / (2 * sides[1]), way * np.array([-0.5, 0.5])
-        groups = [wheel_rows(lattice, places, (1, -1, 1, -1), shares, back, sides)]
+    def of(cls, vehicle: Vehicle, tile_size: float, pixels: int, speeds: Sequence[float]) -> "MotionOperator":
+        """Make the operator of a vehicle for speeds [m/s]."""
+        lattice, places = NodeLattice.of(vehicle, tile_size, pixels), spread_places(_SAMPLES, tile_size)
+        way = lattice.step / 2
+        shares, back = np.array([1.0, -1.0]) / way / (2 * lattice.track), way * np.array([-0.5, 0.5])
+        groups = [wheel_rows(lattice, places, (1, -1, 1, -1), shares, back)]
         for speed in speeds:
-            taps = chassis_response({**vehicle, "speed_mps": speed}, way)
-            groups.append(pitch_change(lattice, places, taps, way, sides))
+            groups.append(pitch_change(lattice, places, chassis_response(replace(vehicle, speed_mps=speed), way)))
             felt, back = heave_filter(speed, min(way, speed / (_PER_WAVE * WEIGHTED_BAND_HZ[1])))
-            groups.append(wheel_rows(lattice, places, (1, 1, 1, 1), felt / 4, back, sides))
-        return cls(
-            speeds=tuple(speeds),
-            fine=fine,
-            nodes=lattice.nodes,
-            wheel=wheel_shape(radius, float(vehicle["wheel"]["width_m"]), lattice.step),
-            samples=_joined(groups),
-        )
+            groups.append(wheel_rows(lattice, places, (1, 1, 1, 1), felt / 4, back))
+        return cls(tuple(speeds), lattice.fine, lattice.wheel, joined(groups))
 
 
 def move_over(relief_map: NDArray[np.float32], operator: MotionOperator) -> Motions:
@@ -226,15 +213,3 @@ def heave_filter(speed: float, way: float) -> tuple[Floats, Floats]:
     window = np.hanning(len(kept) + 2)[1:-1]
     kept = kept - window * (kept.sum() / window.sum())
     return np.asarray(kept), np.asarray(way * np.arange(-reach, reach + 1), np.float64)
-
-
-def _joined(groups: Sequence[PitchSamples]) -> PitchSamples:
-    """Put the rows of groups one after the other."""
-    entries = np.cumsum([0, *(len(rows.node) for rows in groups)])
-    starts = [rows.starts[:-1] + first for rows, first in zip(groups, entries, strict=False)]
-    return PitchSamples(
-        np.concatenate((*starts, entries[-1:])).astype(np.int32),
-        np.concatenate([rows.node for rows in groups]),
-        np.concatenate([rows.weight for rows in groups]),
-        np.cumsum([0, *(len(rows.starts) - 1 for rows in groups)]),
-    )

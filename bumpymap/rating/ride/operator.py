@@ -10,18 +10,21 @@ value of matrix times envelopes. The samples are spread evenly over the patch an
 symmetries of the square: a patch that is turned or mirrored gets the same answer.
 """
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from bumpymap.core import AXES_DEG
+from bumpymap.rating.vehicle_profile import Vehicle
 
 Floats = NDArray[np.float64]
 Places = tuple[Floats, Floats, Floats]
 """Easting, northing [m] and heading [rad] of samples, (n,) each."""
+CORNERS = (1, 1, -1, -1), (1, -1, 1, -1)
+"""Forward (1) or rear (-1), and left (1) or right (-1), of the front left, front right, rear left, rear right wheel."""
 
 
 class PitchSamples(NamedTuple):
@@ -37,12 +40,45 @@ class PitchSamples(NamedTuple):
     """(groups + 1,) where the rows of each group begin."""
 
 
+class WheelShape(NamedTuple):
+    """The lower half of a wheel (a cylinder) on the nodes of the envelope, in each of four directions."""
+
+    starts: Annotated[NDArray[np.int32], 1]
+    """(directions + 1,) where the nodes of each begin."""
+    row: Annotated[NDArray[np.int32], 1]
+    """(n,) nodes from the centre, along the rows."""
+    col: Annotated[NDArray[np.int32], 1]
+    """(n,) nodes from the centre, along the columns."""
+    rise: Annotated[NDArray[np.float32], 1]
+    """(n,) how much higher than its lowest point the wheel is there, negative, m."""
+
+
+_WHEEL_NODES = 2.0
+"""Nodes of the envelope along a wheel's radius, at least."""
+
+
 @dataclass(frozen=True, slots=True)
 class NodeLattice:
-    """The nodes of a patch that is mirrored at its edges forever."""
+    """The nodes of a patch that is mirrored at its edges forever, for the wheels of a vehicle."""
 
+    fine: int
+    """Nodes along the side of a pixel."""
     nodes: int
+    """Along the side of a patch, both edges among them."""
     step: float
+    """Between nodes, m."""
+    wheelbase: float
+    track: float
+    wheel: WheelShape
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, tile_size: float, pixels: int) -> "NodeLattice":
+        """Make the lattice of a vehicle for patches of one size."""
+        wheel = vehicle.wheel
+        fine = max(1, int(np.ceil(_WHEEL_NODES * tile_size / (pixels * wheel.radius_m) - 1e-9)))
+        step = tile_size / (pixels * fine)
+        shape = wheel_shape(wheel.radius_m, wheel.width_m, step)
+        return cls(fine, pixels * fine + 1, step, vehicle.wheelbase_m, vehicle.track_m, shape)
 
     def read(self, x: Floats, y: Floats) -> tuple[NDArray[np.int64], Floats]:
         """Bilinear reads at places [m] of any shape: nodes and weights, one more axis of four corners."""
@@ -56,17 +92,33 @@ class NodeLattice:
                 weight.append(share_y * share_x)
         return np.stack(node, axis=-1), np.stack(weight, axis=-1)
 
-    def first_node(self, x: Floats, y: Floats, heading: Floats) -> NDArray[np.int64]:
-        """Return the first node of the envelope of wheels that roll at places [m] to headings [rad], of one shape."""
+    def read_wheels(
+        self, places: Places, forward: ArrayLike, left: ArrayLike, back: Floats | float = 0.0
+    ) -> tuple[NDArray[np.int64], Floats]:
+        """Read the envelopes under wheels at n samples, as `read` does, (n, k, 4).
+
+        ``forward``, ``left``: 1 or -1, the corner of the vehicle; ``back``: how far behind the sample, m; each () or
+        (k,).
+        """
+        x, y = beside(places, np.multiply(forward, self.wheelbase) / 2 - back, np.multiply(left, self.track) / 2)
+        node, weight = self.read(x, y)
         side = self.step * (self.nodes - 1)
-        mirrored = (np.floor(x / side) + np.floor(y / side)) % 2 == 1
-        return wheel_turn(np.where(mirrored, -heading, heading)) * self.nodes**2
+        mirrored, heading = (np.floor(x / side) + np.floor(y / side)) % 2 == 1, places[2][:, None]
+        turn = wheel_turn(np.where(mirrored, -heading, heading))
+        return node + (turn * self.nodes**2)[..., None], weight
 
     def _mirrored(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
         """Mirror at the edge nodes, which lie on the patch's edges."""
         period = 2 * (self.nodes - 1)
         wrapped = index % period
         return np.minimum(wrapped, period - wrapped)
+
+
+def beside(places: Places, along: Floats | float, left: Floats | float) -> tuple[Floats, Floats]:
+    """Return easting and northing, (n, k), of places so far ahead of n samples and to their left, () or (k,), m."""
+    x, y, heading = (each[:, None] for each in places)
+    cos, sin = np.cos(heading), np.sin(heading)
+    return x + cos * along - sin * left, y + sin * along + cos * left
 
 
 def spread_places(count: int, side: float) -> Places:
@@ -92,24 +144,18 @@ def _halton(count: int, base: int) -> Floats:
 
 
 def wheel_rows(
-    lattice: NodeLattice, places: Places, signs: tuple[int, int, int, int], share: NDArray[np.floating],
-    back: NDArray[np.floating], sides: tuple[float, float],
-) -> PitchSamples:  # fmt: skip
+    lattice: NodeLattice, places: Places, signs: tuple[int, int, int, int], share: Floats, back: Floats
+) -> PitchSamples:
     """Rows that give a sum over the heights of the wheels, behind and ahead of each sample.
 
     ``signs``: of the front left, front right, rear left, rear right wheel; ``share`` (k,): how much their heights
-    count, per metre of it; ``back`` (k,): how far behind the sample, m; ``sides``: wheelbase and track, m.
+    count, per metre of it; ``back`` (k,): how far behind the sample, m.
     """
-    (x, y, heading), (wheelbase, track) = places, sides
     nodes, weights = [], []
-    for (forward, left), sign in zip(((1, 1), (1, -1), (-1, 1), (-1, -1)), signs, strict=True):
-        along, beside = forward * wheelbase / 2 - back, left * track / 2
-        east = x[:, None] + np.cos(heading)[:, None] * along - np.sin(heading)[:, None] * beside
-        north = y[:, None] + np.sin(heading)[:, None] * along + np.cos(heading)[:, None] * beside
-        node, weight = lattice.read(east, north)
-        node += lattice.first_node(east, north, heading[:, None])[..., None]
-        nodes.append(node.reshape(len(x), -1))
-        weights.append((weight * (sign * share)[:, None]).reshape(len(x), -1))
+    for forward, left, sign in zip(*CORNERS, signs, strict=True):
+        node, weight = lattice.read_wheels(places, forward, left, back)
+        nodes.append(node.reshape(len(node), -1))
+        weights.append((weight * (sign * share)[:, None]).reshape(len(node), -1))
     return _compressed(np.concatenate(nodes, axis=1), np.concatenate(weights, axis=1))
 
 
@@ -130,8 +176,13 @@ def _compressed(node: NDArray[np.int64], weight: Floats) -> PitchSamples:
     return PitchSamples(starts.astype(np.int32), *entries, np.array([0, samples]))
 
 
-_WHEEL_NODES = 2.0
-"""Nodes of the envelope along a wheel's radius, at least."""
+def joined(parts: Sequence[PitchSamples]) -> PitchSamples:
+    """Put the rows of parts one after the other, and their groups."""
+    starts, node, weight, bounds = zip(*parts, strict=True)
+    rows, groups = (np.cumsum(np.concatenate(([0], *map(np.diff, ends)))) for ends in (starts, bounds))
+    return PitchSamples(rows.astype(np.int32), np.concatenate(node), np.concatenate(weight), groups)
+
+
 _RIDE_SAMPLES, _POSE_SAMPLES = 128, 16
 """Samples before the eight symmetries."""
 _MOST_TAPS, _SETTLED = 400, 0.01
@@ -140,32 +191,15 @@ _TURNS = 4
 """Directions of wheels in half a turn: 0, 45, 90 and 135 degrees."""
 
 
-class WheelShape(NamedTuple):
-    """The lower half of a wheel (a cylinder) on the nodes of the envelope, in each of four directions."""
-
-    starts: Annotated[NDArray[np.int32], 1]
-    """(directions + 1,) where the nodes of each begin."""
-    row: Annotated[NDArray[np.int32], 1]
-    """(n,) nodes from the centre, along the rows."""
-    col: Annotated[NDArray[np.int32], 1]
-    """(n,) nodes from the centre, along the columns."""
-    rise: Annotated[NDArray[np.float32], 1]
-    """(n,) how much higher than its lowest point the wheel is there, negative, m."""
-
-
 @dataclass(frozen=True, slots=True)
 class RideOperator:
     """All that the ride of one vehicle over patches of one size takes."""
 
     fine: int
     """Nodes along the side of a pixel."""
-    nodes: int
-    """Along the side of a patch, both edges among them."""
     wheel: WheelShape
     samples: PitchSamples
-    """One group."""
-    axes: PitchSamples
-    """The same rows by the nearest of ``AXES_DEG``."""
+    """Groups: all; then the same rows by the nearest of ``AXES_DEG``."""
     wheel_node: Annotated[NDArray[np.int32], 3]
     """(poses, 4 wheels, 4 corners): front left, front right, rear left, rear right; bilinear reads of the nodes."""
     wheel_weight: Annotated[NDArray[np.float32], 3]
@@ -184,37 +218,27 @@ class RideOperator:
     where wheels are points, rad/m per m."""
 
     @classmethod
-    def of(cls, vehicle: Mapping[str, Any], tile_size: float, pixels: int) -> "RideOperator":
-        """Make the operator of a vehicle profile (the nested dictionary of its TOML file)."""
-        radius = float(vehicle["wheel"]["radius_m"])
-        wheelbase, track = float(vehicle["wheelbase_m"]), float(vehicle["track_m"])
-        fine, lattice = lattice_of(radius, tile_size, pixels)
-        nodes, step = lattice.nodes, lattice.step
-        places = spread_places(_RIDE_SAMPLES, tile_size)
-        taps = chassis_response(vehicle, step / 2)
-        samples = pitch_change(lattice, places, taps, step / 2, (wheelbase, track))
-        belly = vehicle["belly"]
-        poses = spread_places(_POSE_SAMPLES, tile_size)
-        reads = _pose_reads(lattice, poses, wheelbase, track, float(belly["length_m"]) / 2)
+    def of(cls, vehicle: Vehicle, tile_size: float, pixels: int) -> "RideOperator":
+        """Make the operator of a vehicle."""
+        lattice, half = NodeLattice.of(vehicle, tile_size, pixels), vehicle.belly.length_m / 2
+        places, poses = (spread_places(count, tile_size) for count in (_RIDE_SAMPLES, _POSE_SAMPLES))
+        samples = pitch_change(lattice, places, chassis_response(vehicle, lattice.step / 2))
+        wheel_node, wheel_weight = lattice.read_wheels(poses, *CORNERS)
+        belly_node, belly_weight = lattice.read(*beside(poses, np.array([1, 0, -1]) * half, 0.0))
         return cls(
-            fine=fine,
-            nodes=nodes,
-            wheel=wheel_shape(radius, float(vehicle["wheel"]["width_m"]), step),
-            samples=samples,
-            axes=_by_axis(samples, places[2]),
-            **reads,
-            wheelbase=wheelbase,
-            track=track,
-            belly_half=float(belly["length_m"]) / 2,
-            clearance=float(belly["clearance_m"]),
-            noise_gain=_noise_gain(samples, pixels, fine),
+            fine=lattice.fine,
+            wheel=lattice.wheel,
+            samples=joined((samples, _by_axis(samples, places[2]))),
+            wheel_node=wheel_node.astype(np.int32),
+            wheel_weight=wheel_weight.astype(np.float32),
+            belly_node=belly_node.astype(np.int32),
+            belly_weight=belly_weight.astype(np.float32),
+            wheelbase=lattice.wheelbase,
+            track=lattice.track,
+            belly_half=half,
+            clearance=vehicle.belly.clearance_m,
+            noise_gain=_noise_gain(samples, pixels, lattice.fine),
         )
-
-
-def lattice_of(radius: float, tile_size: float, pixels: int) -> tuple[int, NodeLattice]:
-    """Return the nodes along the side of a pixel, and the lattice of a patch, for wheels of a radius [m]."""
-    fine = max(1, int(np.ceil(_WHEEL_NODES * tile_size / (pixels * radius) - 1e-9)))
-    return fine, NodeLattice(pixels * fine + 1, tile_size / (pixels * fine))
 
 
 def wheel_turn(heading: Floats) -> NDArray[np.int64]:
@@ -239,16 +263,16 @@ def wheel_shape(radius: float, width: float, step: float) -> WheelShape:
     return WheelShape(starts.astype(np.int32), *shape)
 
 
-def chassis_response(vehicle: Mapping[str, Any], way: float) -> Floats:
+def chassis_response(vehicle: Vehicle, way: float) -> Floats:
     """How much the chassis pitches, step by step of ``way`` [m], after its rockers pitched by one in the first step.
 
     I theta'' = 2 k (phi - theta) + 2 b (phi' - theta') with both rockers' spring k and damper b, I the chassis' moment
     of pitch, phi the mean pitch of the rockers. Exact for a rocker that turns evenly during a step. The taps sum to 1.
     """
-    inertia = float(vehicle["chassis"]["inertia_kgm2"][1])
-    spring = 2 * float(vehicle["rocker"]["stiffness_nm_per_rad"]) / inertia
-    damper = 2 * float(vehicle["rocker"]["damping_nms_per_rad"]) / inertia
-    seconds = way / float(vehicle["speed_mps"])
+    _, inertia, _ = vehicle.chassis.inertia_kgm2
+    spring = 2 * vehicle.rocker.stiffness_nm_per_rad / inertia
+    damper = 2 * vehicle.rocker.damping_nms_per_rad / inertia
+    seconds = way / vehicle.speed_mps
     if spring <= 0:
         return np.ones(1)
     # State: theta, theta', phi, phi'.
@@ -279,14 +303,13 @@ def _exponential(matrix: Floats) -> Floats:
     return total
 
 
-def pitch_change(
-    lattice: NodeLattice, places: Places, taps: Floats, way: float, sides: tuple[float, float]
-) -> PitchSamples:  # fmt: skip
-    """Rows that give the change of the chassis' pitch per metre at each sample; ``sides``: wheelbase and track, m."""
+def pitch_change(lattice: NodeLattice, places: Places, taps: Floats) -> PitchSamples:
+    """Rows that give the change of the chassis' pitch per metre at each sample; ``taps``: for steps of half a node."""
     # The chassis' change in a step is the taps over the rockers' changes before it, each a difference of two pitches.
+    way = lattice.step / 2
     shares = np.diff(taps, prepend=0.0, append=0.0) / way
-    back = way * (np.arange(len(shares)) - 0.5)
-    return wheel_rows(lattice, places, (1, 1, -1, -1), shares / (2 * sides[0]), back, sides)
+    back = way * (np.arange(len(shares), dtype=np.float64) - 0.5)
+    return wheel_rows(lattice, places, (1, 1, -1, -1), shares / (2 * lattice.wheelbase), back)
 
 
 def _by_axis(samples: PitchSamples, heading: Floats) -> PitchSamples:
@@ -303,22 +326,6 @@ def _by_axis(samples: PitchSamples, heading: Floats) -> PitchSamples:
     entry = np.arange(starts[-1]) + np.repeat(samples.starts[order] - starts[:-1], length)
     bounds = np.searchsorted(axis[order], np.arange(len(AXES_DEG) + 1))
     return PitchSamples(starts.astype(np.int32), samples.node[entry], samples.weight[entry], bounds)
-
-
-def _pose_reads(
-    lattice: NodeLattice, places: Places, wheelbase: float, track: float, belly_half: float
-) -> dict[str, NDArray[Any]]:
-    x, y, heading = places
-    cos, sin = np.cos(heading)[:, None], np.sin(heading)[:, None]
-    along = np.array([1, 1, -1, -1]) * wheelbase / 2
-    beside = np.array([1, -1, 1, -1]) * track / 2
-    east, north = x[:, None] + cos * along - sin * beside, y[:, None] + sin * along + cos * beside
-    node, weight = lattice.read(east, north)
-    node += lattice.first_node(east, north, heading[:, None])[..., None]
-    ends = np.array([1, 0, -1]) * belly_half
-    belly, share = lattice.read(x[:, None] + cos * ends, y[:, None] + sin * ends)
-    nodes = {"wheel_node": node.astype(np.int32), "belly_node": belly.astype(np.int32)}
-    return nodes | {"wheel_weight": weight.astype(np.float32), "belly_weight": share.astype(np.float32)}
 
 
 def _noise_gain(samples: PitchSamples, pixels: int, fine: int) -> float:

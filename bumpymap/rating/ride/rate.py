@@ -93,7 +93,7 @@ class RideModel:
 
     def __init__(self, calibration: Calibration, *, headings: bool = False) -> None:
         self.calibration = calibration
-        self.operator = RideOperator.of(calibration.vehicle, calibration.tile_size, calibration.pixels)
+        self.operator = RideOperator.of(calibration.profile, calibration.tile_size, calibration.pixels)
         self.correction = Correction.from_record(calibration.ride)
         self.headings = headings
         self.speed: SpeedRating | None = None
@@ -111,7 +111,7 @@ class RideModel:
         if by_axis is not None:
             own = np.where(rides.pitch_change > LEVEL, rides.pitch_change, np.nan)
             by_axis[:] = (by_axis / own[:, None]) ** _SHARPENED
-            by_axis /= np.average(by_axis, axis=1, weights=np.diff(self.operator.axes.bounds))[:, None]
+            by_axis /= np.average(by_axis, axis=1, weights=np.diff(self.operator.samples.bounds[1:]))[:, None]
         pixel_points = patches.count / patches.grid.pixels**2
         noise_felt = noise * self.operator.noise_gain
         found = self.correction.predict(rides, patches.slope.astype(np.float64), noise_felt, pixel_points)

@@ -13,18 +13,21 @@ is uncertain about a tile (noise, tyres, ground finer than a pixel) then cancels
 Where a tile has no heightmap (it is rated from few points), the same quantities follow from its C_r alone.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CostRule, UsageError
-from bumpymap.rating.calibration import MAP_SPEED, Calibration, remembered
+from bumpymap.core import BadInputError, CostRule, UsageError
+from bumpymap.rating.calibration import MAP_SPEED, Calibration, find_calibration, remembered, shipped_calibrations
 from bumpymap.rating.ride.correction import Coefficients
 from bumpymap.rating.ride.motion_operator import MotionOperator, Motions
-from bumpymap.rating.vehicle_body import comfort_of, less_floor, with_floor
+from bumpymap.rating.vehicle_body import less_floor, with_floor
+from bumpymap.rating.vehicle_profile import Vehicle
 
 Floats = NDArray[np.float64]
 QUANTITIES = ("c_r", "a_w")
@@ -97,32 +100,27 @@ def motion_terms(
     profile's; ``log_range``: lowest and highest ln of the geometric C_r of the driven ground: the terms of the
     roughness stay beyond.
     """
-    shape = motions.pitch_change.shape
     own = np.log(np.maximum(pitch_change, _LEAST))[:, None]
-    s = np.broadcast_to(log_speed, shape)
-    rough = np.broadcast_to(np.clip(own, *log_range), shape)
-    pitch = np.log(np.maximum(motions.pitch_change, _LEAST)) - own
-    roll = np.broadcast_to(np.log(np.maximum(motions.roll_change, _LEAST))[:, None] - own, shape)
-    heave = np.log(np.maximum(motions.heave, _LEAST)) - own
-    one = np.ones(shape)
+    changes = motions.pitch_change, motions.roll_change[:, None], motions.heave
+    pitch, roll, heave = (np.log(np.maximum(change, _LEAST)) - own for change in changes)
+    s, rough = log_speed, np.clip(own, *log_range)
     return {
-        "c_r": np.stack((pitch, s, s * rough, s * rough**2, s**2, s**2 * rough), axis=-1),
-        "a_w": np.stack(
-            (one, heave, rough, rough**2, s, s * rough, s**2, roll, heave * s, heave * rough), axis=-1
-        ),
-    }  # fmt: skip
+        "c_r": _terms(pitch, s, s * rough, s * rough**2, s**2, s**2 * rough),
+        "a_w": _terms(1.0, heave, rough, rough**2, s, s * rough, s**2, roll, heave * s, heave * rough),
+    }
 
 
 def plain_terms(c_r: Floats, log_speed: Floats, log_c_r_range: tuple[float, float]) -> dict[str, Floats]:
     """Return the terms of each of ``QUANTITIES`` from C_r [rad/m] alone, (..., k, terms)."""
-    rough = np.clip(np.log(np.maximum(c_r, _LEAST)), *log_c_r_range)[..., None]
-    s = np.broadcast_to(log_speed, (*c_r.shape, len(log_speed)))
-    rough = np.broadcast_to(rough, s.shape)
-    one = np.ones(s.shape)
+    s, rough = log_speed, np.clip(np.log(np.maximum(c_r, _LEAST)), *log_c_r_range)[..., None]
     return {
-        "c_r": np.stack((s, s * rough, s * rough**2, s**2, s**2 * rough), axis=-1),
-        "a_w": np.stack((one, rough, rough**2, s, s * rough, s**2), axis=-1),
+        "c_r": _terms(s, s * rough, s * rough**2, s**2, s**2 * rough),
+        "a_w": _terms(1.0, rough, rough**2, s, s * rough, s**2),
     }
+
+
+def _terms(*values: Floats | float) -> Floats:
+    return np.stack(np.broadcast_arrays(*values), axis=-1)
 
 
 LEVEL = 5e-4
@@ -136,7 +134,7 @@ def at_speed(calibration: Calibration, speed: float | None) -> Calibration:
     """
     if speed is None:
         return calibration
-    own, name = float(calibration.vehicle["speed_mps"]), calibration.vehicle["name"]
+    own, name = calibration.profile.speed_mps, calibration.profile.name
     low, high = (share * own for share in _model(calibration).range)
     if not low <= speed <= high:
         raise UsageError(
@@ -148,9 +146,49 @@ def at_speed(calibration: Calibration, speed: float | None) -> Calibration:
     return replace(calibration, motion=calibration.motion | {MAP_SPEED: float(speed)})
 
 
+def map_calibration(
+    manifest: Mapping[str, Any], tile_size: float, file: Path | None = None, *, follow_paths: bool = False
+) -> Calibration:
+    """Find the calibration that a map was made with, at the speed of the map.
+
+    ``manifest``: the content of its run.json; ``tile_size``: m; ``file``: the calibration, None: an included one with
+    the preferences in run.json, or with ``follow_paths`` where run.json says that it was: a folder that somebody else
+    made may name any path.
+
+    Raises UsageError: it is not found; BadInputError: it is another one, or cannot be read.
+    """
+    about, wanted = manifest["vehicle"], manifest.get("calibration", {}).get("id", "")
+    settings = manifest.get("settings", {}) if follow_paths else {}
+    named, vehicle = file or settings.get("calibration"), str(settings.get("vehicle") or about["name"])
+    speed = float(about["speed_mps"]) if "drives_mps" in about else None
+    if not named:
+        preferences = manifest.get("calibration", {}).get("preferences", {})
+        for name in sorted(shipped_calibrations(), key=lambda name: name != about["name"]):
+            own = Calibration.shipped(name, tile_size)
+            with suppress(BadInputError, UsageError, TypeError):  # another vehicle, or preferences that make no sense
+                profile = Vehicle.from_dict({**own.vehicle, **preferences}, name)
+                included = at_speed(own.with_preferences(profile, name), speed)
+                if included.id == wanted:
+                    return included
+    try:
+        found = at_speed(find_calibration(vehicle, Path(named) if named else None, tile_size), speed)
+    except (BadInputError, UsageError) as error:
+        if file is not None:
+            raise
+        raise UsageError(
+            f"the calibration {wanted} of the map is not found ({error}). Give its file with `calibration`"
+        ) from error
+    if found.id != wanted:
+        raise BadInputError(
+            f"the map was made with the calibration {wanted} of {about['name']}; {named or vehicle} holds {found.id}. "
+            "Give the file of the map's own with `calibration`, or map the survey again"
+        )
+    return found
+
+
 def plain_speed_factor(calibration: Calibration, log_c_r: Floats) -> Floats:
     """Return ln of C_r at the speed of the map over that at the profile's speed, from ln of the latter, any shape."""
-    if calibration.map_speed == float(calibration.vehicle["speed_mps"]):
+    if calibration.map_speed == calibration.profile.speed_mps:
         return np.zeros_like(log_c_r)
     log_speed = _log_ratios(calibration, (calibration.map_speed,))
     return _model(calibration).plain_log_factors(np.exp(log_c_r), log_speed)[..., 0, 0]
@@ -158,7 +196,7 @@ def plain_speed_factor(calibration: Calibration, log_c_r: Floats) -> Floats:
 
 def speed_log_sd(calibration: Calibration) -> float:
     """Return the standard deviation of ln C_r that the speed of the map adds."""
-    if calibration.map_speed == float(calibration.vehicle["speed_mps"]):
+    if calibration.map_speed == calibration.profile.speed_mps:
         return 0.0
     (log_ratio,) = _log_ratios(calibration, (calibration.map_speed,))
     return float(_model(calibration).c_r.log_sd * min(abs(log_ratio) / np.log(2.0), 1.0))
@@ -166,7 +204,7 @@ def speed_log_sd(calibration: Calibration) -> float:
 
 def _log_ratios(calibration: Calibration, speeds: Sequence[float]) -> Floats:
     """Return ln of speeds [m/s] over the profile's."""
-    return np.log(np.array(speeds) / float(calibration.vehicle["speed_mps"]))
+    return np.log(np.array(speeds) / calibration.profile.speed_mps)
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +221,7 @@ class SpeedRating:
     def of(cls, calibration: Calibration, speeds: tuple[float, ...]) -> "SpeedRating":
         """Make the rating of a calibration."""
         every = tuple(dict.fromkeys((*speeds, calibration.map_speed)))
-        operator = MotionOperator.of(calibration.vehicle, calibration.tile_size, calibration.pixels, every)
+        operator = MotionOperator.of(calibration.profile, calibration.tile_size, calibration.pixels, every)
         return cls(calibration, speeds, operator)
 
     def factors_of(self, motions: Motions, pitch_change: Floats) -> tuple[Floats, NDArray[np.float32]]:
@@ -263,7 +301,7 @@ def map_rule(calibration: Calibration) -> CostRule:
     speed too. Below the calibrated speeds motion per metre stays that of the lowest, and a_w is in proportion to the
     speed, though it falls faster; above them nothing is known, so none is given.
     """
-    limits, own = comfort_of(calibration.vehicle), float(calibration.vehicle["speed_mps"])
+    limits, own = calibration.profile.comfort, calibration.profile.speed_mps
     low, high = (share * own for share in _model(calibration).range)
     top = min(limits.top_speed_mps or calibration.map_speed, high)
     speeds = np.geomspace(top, top / _SLOWEST, _STEPS)

@@ -32,7 +32,6 @@ from bumpymap.core import (
     missing_resource,
     path_of_call,
     refuse_faults,
-    refuse_unknown,
     refused_write,
     remove_empty_on_error,
     short_repr,
@@ -67,36 +66,33 @@ class MapTask:
     name: str
     config: MapConfig
     """Its settings, with its share of threads and memory."""
-    thumbnail: int = 0
-    """Most characters of the picture of the map."""
     started_by: Mapping[str, Any] = field(default_factory=dict)
     """The batch, for whoever finds the folder locked."""
 
+    @property
+    def survey(self) -> str:
+        """Its files and folders."""
+        return " ".join(map(str, self.config.surveys))
 
-TaskEnd: TypeAlias = tuple[SurveyRow, SurveyView, str]
-"""Row and picture of a survey that was mapped, and the traceback of an unexpected error; else empty."""
+
+TaskEnd: TypeAlias = tuple[SurveyRow, str]
+"""Row of a survey that was mapped, and the traceback of an unexpected error; else empty."""
 
 
 def map_one(task: MapTask) -> TaskEnd:
     """Map a survey, continue its interrupted run, or find that it is done; in a process that does nothing else."""
     begin = time.perf_counter()
     import_without_pandas("pyogrio.raw")
-    view, trace = SurveyView(), ""
+    trace = ""
     lock_for(task.started_by)
     with collected_warnings(alone=True) as said:
         try:
             row = _mapped(task)
-            view = look_at(task.config.out, task.thumbnail)
         except Exception as error:  # noqa: BLE001 (the other surveys are mapped all the same)
             row = _failed(task, _why_failed(error), time.perf_counter() - begin)
             if not isinstance(error, BumpymapError):
                 trace = traceback.format_exc()
-    return replace(row, warnings=tuple(dict.fromkeys([*row.warnings, *said]))), view, trace
-
-
-def look_at(folder: Path, most: int) -> SurveyView:
-    """Return what the page of a batch shows of a complete map, with a picture of at most ``most`` characters."""
-    return SurveyView(read_thumbnail(folder, most), (folder / REPORT_NAME).is_file())
+    return replace(row, warnings=tuple(dict.fromkeys([*row.warnings, *said]))), trace
 
 
 def _mapped(task: MapTask) -> SurveyRow:
@@ -123,8 +119,7 @@ def _mapped(task: MapTask) -> SurveyRow:
         require_known(result, task.config)
     except TooUnknownError as error:
         message, status = f"{message} {error}".strip(), "incomplete"
-    survey = " ".join(map(str, task.config.surveys))
-    return SurveyRow(task.name, status, message, survey=survey, **map_facts(out))
+    return SurveyRow(task.name, status, message, survey=task.survey, **map_facts(out))
 
 
 def _why_failed(error: Exception) -> str:
@@ -138,8 +133,7 @@ def _why_failed(error: Exception) -> str:
 
 
 def _failed(task: MapTask, message: str, seconds: float) -> SurveyRow:
-    survey = " ".join(map(str, task.config.surveys))
-    return SurveyRow(task.name, "failed", message, seconds=round(seconds, 3), survey=survey)
+    return SurveyRow(task.name, "failed", message, seconds=round(seconds, 3), survey=task.survey)
 
 
 _MODULE = "bumpymap.survey.batch.run"
@@ -159,7 +153,7 @@ def map_tasks(tasks: Sequence[MapTask], jobs: int) -> Generator[TaskEnd, None, N
                     f"its process {end}. If memory ran out, give fewer `jobs` or less `memory`; the next start "
                     "continues this survey"
                 )
-                yield _failed(tasks[number], message, seconds), SurveyView(), ""
+                yield _failed(tasks[number], message, seconds), ""
             else:
                 yield end
 
@@ -167,23 +161,20 @@ def map_tasks(tasks: Sequence[MapTask], jobs: int) -> Generator[TaskEnd, None, N
 _log = logging.getLogger(__name__)
 _EVERY_S = 60.0
 """After a kill, or while the batch runs, the page is at most so much older than the last survey that ended."""
+_MOST_THUMBNAIL, _MOST_THUMBNAILS = 40_000, 1_200_000
+"""Characters of one picture, and of all on the page together."""
 _WAITING = "the batch has not come to it yet, or ended before"
 _EARLIER = "the batch has not come to it; it has layers of an earlier start, not compared with its files and settings"
 
 
 class Results:
-    """The rows of a batch, and its summary and page in a folder.
+    """The rows of a batch; ``folder`` gets summary.csv, summary.parquet, collection.json and index.html."""
 
-    ``folder``: gets summary.csv, summary.parquet, collection.json and index.html; ``title``: of the page.
-    """
-
-    def __init__(self, tasks: Sequence[MapTask], folder: Path, title: str) -> None:
-        self._tasks, self._folder, self._title = {task.name: task for task in tasks}, folder, title
-        self._rows = {
-            task.name: SurveyRow(task.name, "not reached", _WAITING, survey=str(task.config.surveys[0]))
-            for task in tasks
-        }
+    def __init__(self, tasks: Sequence[MapTask], folder: Path) -> None:
+        self._tasks, self._folder = {task.name: task for task in tasks}, folder
+        self._rows = {task.name: SurveyRow(task.name, "not reached", _WAITING, survey=task.survey) for task in tasks}
         self._views: dict[str, SurveyView] = {}
+        self._most = min(_MOST_THUMBNAIL, _MOST_THUMBNAILS // len(tasks))
         self._written = monotonic()
 
     @property
@@ -191,9 +182,11 @@ class Results:
         """One for each survey, by name."""
         return tuple(self._rows[name] for name in sorted(self._rows))
 
-    def add(self, row: SurveyRow, view: SurveyView) -> None:
+    def add(self, row: SurveyRow) -> None:
         """Note the result of a survey; write the files if that is long ago."""
-        self._rows[row.name], self._views[row.name] = row, view
+        self._rows[row.name] = row
+        if row.status != "failed":
+            self._look_at(row.name)
         if monotonic() - self._written > _EVERY_S:
             try:
                 self._write(" while the batch was running")
@@ -206,23 +199,24 @@ class Results:
 
         Raises OutputError: they cannot be written.
         """
-        for name in self._rows.keys() - self._views.keys():
-            task = self._tasks[name]
-            if not task.config.out.is_symlink() and is_complete(task.config.out):
+        for row in self.rows:
+            out = self._tasks[row.name].config.out
+            if row.status == "not reached" and not out.is_symlink() and is_complete(out):
                 with suppress(BumpymapError):
-                    facts = map_facts(task.config.out)
-                    self._rows[name] = replace(self._rows[name], message=_EARLIER, **facts)
-                    self._views[name] = look_at(task.config.out, task.thumbnail)
+                    self._rows[row.name] = replace(row, message=_EARLIER, **map_facts(out))
+                    self._look_at(row.name)
         self._write()
 
+    def _look_at(self, name: str) -> None:
+        """Keep what the page shows of a complete map."""
+        folder = self._tasks[name].config.out
+        self._views[name] = SurveyView(read_thumbnail(folder, self._most), (folder / REPORT_NAME).is_file())
+
     def _write(self, when: str = "") -> None:
-        note = f"Written {datetime.now(UTC):%Y-%m-%d %H:%M} UTC{when}"
-        page = index_page(self.rows, self._views, BATCH_LINKS, self._title, note)
-        write_batch_summary(self.rows, self._folder, self._title, page)
+        note, title = f"Written {datetime.now(UTC):%Y-%m-%d %H:%M} UTC{when}", self._folder.absolute().name
+        page = index_page(self.rows, self._views, BATCH_LINKS, title, note)
+        write_batch_summary(self.rows, self._folder, title, page)
 
-
-_MOST_THUMBNAIL, _MOST_THUMBNAILS = 40_000, 1_200_000
-"""Characters of one picture, and of all on the page together."""
 
 BatchReport: TypeAlias = Callable[[SurveyRow], None]
 """Receives the row of each survey that has ended."""
@@ -276,14 +270,14 @@ def run_batch(
     if begin is not None:
         begin(len(surveys))
     with remove_empty_on_error(folder), locked(folder):
-        results = Results(tasks, folder, folder.absolute().name)
+        results = Results(tasks, folder)
         try:
             with closing(map_tasks(tasks, jobs)) as ends:
-                for found, view, trace in ends:
+                for found, trace in ends:
                     warnings = tuple(spell(warning) for warning in found.warnings)
                     row = replace(found, message=spell(found.message), warnings=warnings)
                     _note(row, trace)
-                    results.add(row, view)
+                    results.add(row)
                     if report is not None:
                         report(row)
         finally:
@@ -299,13 +293,7 @@ def _tasks(config: BatchConfig, surveys: Sequence[Row]) -> tuple[list[MapTask], 
     sizes, holder = [_size(place) for place, _, _ in surveys], lock_holder()
     jobs = config.jobs_for(sizes)
     tasks = [
-        MapTask(
-            name,
-            config.share(config.of_survey(own, (place,), name), jobs),
-            min(_MOST_THUMBNAIL, _MOST_THUMBNAILS // len(surveys)),
-            holder,
-        )
-        for place, name, own in surveys
+        MapTask(name, config.share(config.of_survey(own, (place,), name), jobs), holder) for place, name, own in surveys
     ]
     if jobs > 1:
         tasks = [tasks[place] for place in sorted(range(len(tasks)), key=lambda place: -sizes[place])]
@@ -380,11 +368,11 @@ def map_batch(
     >>> night.exit_code
     4
     """
-    known = BatchSettings.__annotations__
-    refuse_unknown(settings, known, "map_batch")
-    given: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}
-    own = {name: given.pop(name) for name in ("survey_per", "jobs") if name in given}
+    given: dict[str, Any] = {**settings}
+    own = {name: given.pop(name) for name in ("survey_per", "jobs") if given.get(name) is not None}
     if report is not None and not callable(report):
         raise UsageError(f"report is {short_repr(report)}; it must be a function that takes a row")
     places = Path(path_of_call("source", source)), Path(path_of_call("out", out))
-    return run_batch(BatchConfig(*places, map_settings(given, "map_batch", known), **own), report)
+    return run_batch(
+        BatchConfig(*places, map_settings(given, "map_batch", BatchSettings.__annotations__), **own), report
+    )

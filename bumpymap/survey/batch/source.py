@@ -8,6 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, get_origin
 
@@ -31,10 +32,9 @@ from bumpymap.core import (
     with_pixels,
 )
 from bumpymap.layers import BATCH_NAMES
-from bumpymap.rating import Calibration, find_calibration
+from bumpymap.rating import Calibration
 from bumpymap.readers import find_surveys
 from bumpymap.survey.batch.settings import OWN_SETTINGS, SurveyPer
-from bumpymap.views import page_header
 
 _log = logging.getLogger(__name__)
 _LISTS = (".txt", ".csv")
@@ -44,6 +44,8 @@ _KINDS = {each.name: each.kind for each, _ in settings_with_options(MapConfig) i
 
 Row = tuple[Path, str, dict[str, Any]]
 """A survey of a batch: its file or folder; its name (of the folder of its layers; empty: none is given); settings."""
+Check = Callable[[Mapping[str, Any]], list[str]]
+"""Returns what is wrong with the settings of a row."""
 
 
 def name_surveys(surveys: Sequence[Path], given: Sequence[str], root: Path) -> list[str]:
@@ -59,18 +61,11 @@ def name_surveys(surveys: Sequence[Path], given: Sequence[str], root: Path) -> l
     used = {own.casefold() for own in given if own}
     names = []
     for survey, own, name in zip(surveys, given, usual, strict=True):
-        if own:
-            names.append(own)
-            continue
-        wanted, number = name, 2
-        if times[name.casefold()] > 1:
-            folders = survey.relative_to(root).parts if survey.is_relative_to(root) else survey.parts[-2:]
-            wanted = _clean("_".join([*folders[:-1], name]))
-        free = wanted
-        while free.casefold() in used or _is_reserved(free):
-            free, number = f"{wanted}_{number}", number + 1
-        used.add(free.casefold())
-        names.append(free)
+        folders = survey.relative_to(root).parts if survey.is_relative_to(root) else survey.parts[-2:]
+        wanted = _clean("_".join([*folders[:-1], name])) if times[name.casefold()] > 1 else name
+        numbered = chain([wanted], (f"{wanted}_{number}" for number in count(2)))
+        names.append(own or next(free for free in numbered if free.casefold() not in used and not _is_reserved(free)))
+        used.add(names[-1].casefold())
     return names
 
 
@@ -90,22 +85,19 @@ def _is_reserved(name: str) -> bool:
     return name.casefold() in {*BATCH_NAMES, "run.json"}
 
 
-def read_table(
-    text: str, origin: str, folder: Path, check: Callable[[Mapping[str, Any]], list[str]] = lambda _: []
-) -> list[Row]:
+def _table(text: str, origin: str, folder: Path, check: Check) -> tuple[list[Row], list[str]]:
     """Parse the CSV of a batch: its column ``survey``, if wanted ``name``, and settings of a map, spelled as options.
 
     A cell is what follows ``--set KEY=``, a list may have spaces instead of commas; an empty one means that the setting
     is not given. A table that Excel wrote with semicolons is read too. ``folder``: folder at which relative paths
-    start; ``check``: returns what else is wrong with the settings of a row. Raises UsageError: unknown columns or
-    values that are not allowed; the message lists all.
+    start. Returns the rows, and what is wrong with columns and values. Raises UsageError: it is no such table.
     """
     header, _, _ = text.partition("\n")
     table = csv.DictReader(io.StringIO(text), restval="", delimiter=";" if ";" in header and "," not in header else ",")
     try:
         titles = [title.strip() for title in table.fieldnames or ()]
         table.fieldnames = columns = [title.lower().lstrip("-").replace("-", "_") for title in titles]
-        rows = [(table.line_num, row) for row in table]
+        lines = [(table.line_num, line) for line in table]
     except csv.Error as error:
         raise UsageError(f"{origin}: line {table.line_num} is not CSV: {error}") from error
     known = [_SURVEY, _NAME, *_KINDS]
@@ -116,21 +108,19 @@ def read_table(
         faults.append(unknown_text(unknown, known, "column").replace("`", ""))
     if repeated := sorted({name for name in columns if name and columns.count(name) > 1}):
         faults.append(f"the column {', '.join(repeated)} is there twice")
-    found = []
-    for number, row in rows:
-        more = [cell for cell in row.pop(None, []) if cell.strip()]
-        given = {name: cell.strip() for name, cell in row.items() if name in known and cell.strip()}
+    rows = []
+    for number, line in lines:
+        more = [cell for cell in line.pop(None, []) if cell.strip()]
+        given = {name: cell.strip() for name, cell in line.items() if name in known and cell.strip()}
         if given or more:
             wrong = [f"it has {len(columns) + len(more)} cells, the header has {len(columns)}"] if more else []
-            found.append(_row(given, folder, wrong, check))
+            rows.append(_row(given, folder, wrong, check))
             faults += [f"line {number}: {why}" for why in wrong]
-    names = [name.casefold() for _, name, _ in found if name]
-    faults += [f"the name {name} is given twice" for name in sorted(set(names)) if names.count(name) > 1]
-    refuse_faults(faults, origin, UsageError)
-    return found
+    times = Counter(name.casefold() for _, name, _ in rows if name)
+    return rows, faults + [f"the name {name} is given twice" for name in sorted(times) if times[name] > 1]
 
 
-def _row(given: dict[str, str], folder: Path, wrong: list[str], check: Callable[[Mapping[str, Any]], list[str]]) -> Row:
+def _row(given: dict[str, str], folder: Path, wrong: list[str], check: Check) -> Row:
     """Return a row of cells by column; append what is wrong with it to ``wrong``."""
     place, name = given.pop(_SURVEY, ""), given.pop(_NAME, "")
     if not place or path_fault(place):
@@ -141,11 +131,11 @@ def _row(given: dict[str, str], folder: Path, wrong: list[str], check: Callable[
         wrong.append(f"the name is {name!r}; {why}")
     settings: dict[str, Any] = {}
     for key, cell in given.items():
-        value: Any = cell
-        if get_origin(_KINDS[key]) is tuple:
-            value = value_of_text(",".join(cell.replace(",", " ").split()), _KINDS[key])
-        elif _KINDS[key] not in (str, Path, NameOrFile):
-            value = value_of_text(cell.lower() if _KINDS[key] is bool else cell, _KINDS[key])  # Excel writes TRUE
+        kind, value = _KINDS[key], cell
+        if get_origin(kind) is tuple:
+            value = value_of_text(",".join(cell.replace(",", " ").split()), kind)
+        elif kind not in (str, Path, NameOrFile):
+            value = value_of_text(cell.lower() if kind is bool else cell, kind)  # Excel writes TRUE
         own, more = parse_record({key: value}, MapConfig, folder)
         settings |= {} if more else own
         wrong += more
@@ -158,15 +148,15 @@ def _row(given: dict[str, str], folder: Path, wrong: list[str], check: Callable[
 
 def settings_faults(
     settings: Mapping[str, Any],
+    calibration: Callable[..., Calibration],
+    header: Callable[[PageSettings], object],
     *,
     complete: bool = True,
-    calibration: Callable[..., Calibration] = find_calibration,
-    header: Callable[[PageSettings], object] = page_header,
 ) -> list[str]:
     """Return what is wrong with settings of surveys: values, CRS, and vehicles and files that cannot be used.
 
-    ``complete``: no others come to these, so that they must also fit each other. ``calibration`` finds the calibration
-    of a vehicle, ``header`` reads the logo of a page.
+    ``calibration`` finds the calibration of a vehicle, ``header`` reads the logo of a page; ``complete``: no other
+    settings come to these, so that they must also fit each other.
     """
     faults: list[str] = []
     for name in ("crs", "force_crs"):
@@ -194,13 +184,11 @@ def _noted(faults: list[str]) -> Iterator[None]:
         faults.append(str(error).replace("`", ""))  # columns: no options of the command line
 
 
-def list_surveys(
-    source: Path, survey_per: SurveyPer, check: Callable[[Mapping[str, Any]], list[str]] = lambda _: []
-) -> list[Row]:
+def list_surveys(source: Path, survey_per: SurveyPer, check: Check = lambda _: []) -> list[Row]:
     """Return the surveys of a batch by name; places are absolute, so that a batch can be continued from anywhere.
 
-    ``check``: returns what is wrong with the settings of a row of a table. Raises BadInputError: the source does not
-    exist or holds no surveys; UsageError: a list with faults, all of which the message names.
+    Raises BadInputError: the source does not exist or holds no surveys; UsageError: a list with faults, all of which
+    the message names.
     """
     if source.is_dir():
         places = _folders(source) if survey_per == "folder" else find_surveys([source.absolute()])
@@ -216,15 +204,7 @@ def list_surveys(
     return sorted(found, key=lambda survey: survey[1])
 
 
-def read_text(path: Path) -> str:
-    """Return the text of a list; bytes that are not UTF-8 are kept, since they may be those of a file name."""
-    try:
-        return read_regular(path).decode("utf-8-sig", "surrogateescape")
-    except OSError as error:
-        raise BadInputError(f"cannot read {path}: {error.strerror}") from error
-
-
-def _listed(source: Path, check: Callable[[Mapping[str, Any]], list[str]]) -> list[Row]:
+def _listed(source: Path, check: Check) -> list[Row]:
     if not source.exists():
         raise BadInputError(f"{source} does not exist; name a folder of surveys, or a list of them (.txt or .csv)")
     suffix = source.suffix.lower()
@@ -233,18 +213,22 @@ def _listed(source: Path, check: Callable[[Mapping[str, Any]], list[str]]) -> li
             f"{source} is neither a folder nor a list ({' or '.join(_LISTS)}); a single survey is mapped by "
             "`bumpymap map`"
         )
+    try:  # bytes that are not UTF-8 are kept, since they may be those of a file name
+        text = read_regular(source).decode("utf-8-sig", "surrogateescape")
+    except OSError as error:
+        raise BadInputError(f"cannot read {source}: {error.strerror}") from error
     folder = _absolute(source.parent)
     if suffix == ".csv":
-        found = read_table(read_text(source), str(source), folder, check)
+        rows, faults = _table(text, str(source), folder, check)
     else:
-        lines = [line.strip() for line in read_text(source).splitlines()]
-        wanted = [(number, line) for number, line in enumerate(lines, 1) if line and not line.startswith("#")]
+        lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1)]
+        wanted = [(number, line) for number, line in lines if line and not line.startswith("#")]
+        rows = [(folder / line, "", {}) for _, line in wanted]
         faults = [f"line {number}: {why}" for number, line in wanted if (why := path_fault(line))]
-        refuse_faults(faults, str(source), UsageError)
-        found = [(folder / line, "", {}) for _, line in wanted]
-    if not found:
+    refuse_faults(faults, str(source), UsageError)
+    if not rows:
         raise BadInputError(f"{source} names no survey")
-    return found
+    return rows
 
 
 def _folders(source: Path) -> list[Path]:

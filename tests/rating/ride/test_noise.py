@@ -11,7 +11,7 @@ from bumpymap.patches.features import measure
 from bumpymap.rating import RideOperator, denoise, roll_over
 from bumpymap.rating.vehicle_profile import Vehicle
 
-OPERATOR = RideOperator.of(Vehicle.load("warthog").to_dict(), 3.0, 15)
+OPERATOR = RideOperator.of(Vehicle.load("warthog"), 3.0, 15)
 PLANE = Terrain("plane", np.zeros((60, 60)), 3.0)
 
 

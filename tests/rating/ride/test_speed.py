@@ -33,7 +33,7 @@ def factors_at(speed, heights):
 
 
 def pitch_of(heights):
-    return roll_over(heights, RideOperator.of(WARTHOG.vehicle, 3.0, 15)).pitch_change
+    return roll_over(heights, RideOperator.of(WARTHOG.profile, 3.0, 15)).pitch_change
 
 
 def test_its_own_speed_changes_nothing_and_another_has_another_id_and_the_same_drives():

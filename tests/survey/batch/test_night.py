@@ -236,7 +236,7 @@ def test_a_process_maps_many_surveys_and_one_that_dies_fails_its_survey_alone(mo
     monkeypatch.setattr("bumpymap.survey.batch.run._MODULE", "worker_of_a_batch")
     names = ["s", "a", "s2", "dies", "b", "raises", "dies_too", "c"]
     tasks = [MapTask(name, MapConfig((Path(f"{name}.laz"),), Path("o"))) for name in names]
-    rows = [row for row, _, _ in map_tasks(tasks, jobs)]
+    rows = [row for row, _ in map_tasks(tasks, jobs)]
     assert sorted(row.name for row in rows) == sorted(names)
     rows = {row.name: row for row in rows}
     assert {name for name, row in rows.items() if row.status == "done"} == {"s", "a", "s2", "b", "c"}
