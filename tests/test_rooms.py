@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = {
     # room: (other rooms, packages of others that only some rooms may import)
     "core": (set(), {"blake3", "numpy", "onnxruntime", "pyproj", "rasterio", "scipy"}),
-    "readers": ({"core"}, {"lazrs", "numpy", "pyarrow", "pypcd4", "pyproj", "rasterio", "rosbags", "scipy"}),
+    "readers": ({"core"}, {"lazrs", "numpy", "pyarrow", "pypcd4", "pyproj", "pyulog", "rasterio", "rosbags", "scipy"}),
     "patches": ({"core"}, {"CSF", "numpy"}),
     "rating": ({"core"}, {"numpy", "scipy"}),
     "layers": (

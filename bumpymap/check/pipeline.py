@@ -185,7 +185,7 @@ def check_drives(
     layers : path, Layers or None
         What `map_survey` or ``bumpymap map`` wrote; None measures the drives alone.
     drives : path, or several
-        Each a log (CSV, a bag of ROS), or the files of one drive joined by commas.
+        Each a log (CSV, a bag of ROS, ULog), or the files of one drive joined by commas.
     out : path, optional
         Folder for the page, the record and GIS layers; without it nothing is written.
     columns : mapping, optional

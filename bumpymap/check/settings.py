@@ -17,7 +17,7 @@ class CheckConfig:
 
     drives: Annotated[
         tuple[str, ...],
-        Setting("Log: CSV or bag; files of one drive by commas", "LOG", option="drive", group="Input"),
+        Setting("Log: CSV, bag, ULog; files of one drive by commas", "LOG", option="drive", group="Input"),
     ]
     layers: Path | None = None
     """Layers of the map; None: the drives are measured alone."""

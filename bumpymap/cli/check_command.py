@@ -196,7 +196,7 @@ def command(run: Run, refit: Path | None) -> None:
 
     \b
     bumpymap check site_layers --drive drive.mcap --out checked
-    bumpymap check site_layers --drive imu.csv,gnss.csv --drive second.mcap
+    bumpymap check site_layers --drive imu.csv,gnss.csv --drive second.ulg
     bumpymap check --drive drive.csv
     bumpymap check site_layers --drive drive.mcap --refit my_robot.json
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped

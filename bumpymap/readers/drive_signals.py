@@ -20,6 +20,8 @@ LONLAT = ("longitude", "latitude")
 EASTING_NORTHING = ("easting", "northing")
 LOCAL = ("x", "y")
 SIDES = ("speed_left", "speed_right")
+DOWN = frozenset({"rate_y", "rate_z", "acc_y", "acc_z", "pitch", "yaw", "q_y", "q_z"})
+"""Quantities whose sign differs between x forward, y right, z down and x forward, y left, z up."""
 DIMENSIONS: Mapping[str, str] = {
     "time": "time",
     **dict.fromkeys(RATES, "rate"),
@@ -403,7 +405,7 @@ _BRIDGED_S = 0.25
 """Accelerations are interpolated over at most so much time."""
 _COLUMNS = {
     "angular rates": {*RATES, "imu"},
-    "attitudes": {*ANGLES, *QUATERNION, "imu", "odometry"},
+    "attitudes": {*ANGLES, *QUATERNION, "imu", "odometry", "attitude"},
     "accelerations": {*ACCELERATIONS, "imu"},
     "positions": {*LONLAT, *EASTING_NORTHING, *LOCAL, "error", "fix", "gnss", "odometry"},
     "wheel speeds": {"speed", *SIDES, "odometry", "twist"},

@@ -1,4 +1,4 @@
-"""Samples of tables of text: CSV, tracks of RTKLIB."""
+"""Samples of tables of text: CSV, tracks of RTKLIB, messages of ArduPilot logs as CSV."""
 
 import csv
 import io
@@ -12,10 +12,14 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, Floats
 from bumpymap.readers.drive_signals import (
+    ACCELERATIONS,
+    ANGLES,
     DIMENSIONS,
+    DOWN,
     EASTING_NORTHING,
     LOCAL,
     LONLAT,
+    RATES,
     SIDES,
     UNITS,
     DriveColumn,
@@ -46,8 +50,8 @@ _NULLS = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "N/A", "NA", 
 _MOST_BROKEN = 0.01
 """Share of rows with too many or too few values, remarks among them, that may be left out."""
 _FORMATS = (
-    "A drive is a CSV file in UTF-8 with a header line, or a bag of ROS 2 (.mcap, .db3, or its folder) or ROS 1 "
-    "(.bag); ulog2csv makes CSV of logs of PX4, mavlogdump.py of those of ArduPilot, ogr2ogr and gpsbabel of tracks"
+    "A drive is a CSV file in UTF-8 with a header line, a bag of ROS 2 (.mcap, .db3, or its folder) or ROS 1 (.bag), "
+    "or a ULog (.ulg); ogr2ogr and gpsbabel make CSV of other tracks"
 )
 
 
@@ -179,6 +183,20 @@ def _is_number(cell: str) -> bool:
 
 
 _PLACE_GROUPS = (LONLAT, EASTING_NORTHING, LOCAL)
+_TIME_US, _INSTANCE = "TimeUS", "I"
+"""Columns of the messages of ArduPilot logs: the time, by which they are known, and the number of the sensor."""
+_ARDUPILOT = {
+    "timestamp": ("time", "s"),
+    **{f"Gyr{axis}": (f"rate_{axis.lower()}", "rad/s") for axis in "XYZ"},
+    **{f"Acc{axis}": (f"acc_{axis.lower()}", "m/s2") for axis in "XYZ"},
+    **{angle.title(): (angle, "deg") for angle in ANGLES},
+    "Lng": ("longitude", "deg"),
+    "Lat": ("latitude", "deg"),
+    "Spd": ("speed", "m/s"),
+    "HAcc": ("error", "m"),
+    "Status": ("fix", ""),
+}
+"""Column of its messages, as mavlogdump.py writes them -> quantity and unit."""
 _GPST = "GPST"
 _RTKLIB = {
     _GPST: ("time", "s"),
@@ -187,8 +205,8 @@ _RTKLIB = {
     "latitude(deg)": ("latitude", "deg"),
     "sdn(m)": ("error", "m"),
 }
-_LEAST_FIX = 1.0
-"""Least ``fix`` of a position that was measured."""
+_LEAST_FIX, _ARDUPILOT_FIX = 1.0, 2.0
+"""Least ``fix`` of a position that was measured; of ArduPilot, 0 is no receiver, 1 no fix."""
 
 
 def find_columns(table: DriveTable, columns: Mapping[str, str]) -> dict[str, DriveColumn]:
@@ -204,8 +222,9 @@ def find_columns(table: DriveTable, columns: Mapping[str, str]) -> dict[str, Dri
             known |= {quantity for other in _PLACE_GROUPS if other != group for quantity in other}
     if "speed" in columns or set(SIDES) & set(columns):
         known |= {"speed"} if set(SIDES) & set(columns) else set(SIDES)
-    if "latitude(deg)" in table.names:
-        found = {_RTKLIB[name][0]: DriveColumn(name, _RTKLIB[name][1]) for name in table.names if name in _RTKLIB}
+    fields = _ARDUPILOT if _TIME_US in table.names else _RTKLIB if "latitude(deg)" in table.names else {}
+    if fields:
+        found = {fields[name][0]: DriveColumn(name, fields[name][1]) for name in table.names if name in fields}
     else:
         taken = {column.name for column in chosen.values()}
         found = named_columns(table.path.name, [name for name in table.names if name not in taken], known)
@@ -227,7 +246,9 @@ def table_samples(table: DriveTable, columns: Mapping[str, DriveColumn]) -> Samp
             f"{table.path} has no column named time; its columns are {', '.join(table.names)}. "
             "Name it, with its unit: `columns='time=NAME[s]'`"
         )
-    arrays, broken = table.read(list(dict.fromkeys(column.name for column in columns.values())))
+    is_ardupilot = _TIME_US in table.names
+    instance = [_INSTANCE] if is_ardupilot and _INSTANCE in table.names else []
+    arrays, broken = table.read(list(dict.fromkeys([*(column.name for column in columns.values()), *instance])))
     if broken:
         notes.append(f"{broken:,} lines of {source} are cut off, broken or remarks, and are left out")
     values = {"time": _times(arrays, columns, source, notes)}
@@ -236,14 +257,26 @@ def table_samples(table: DriveTable, columns: Mapping[str, DriveColumn]) -> Samp
     for quantity, column in columns.items():
         numbers = None if DIMENSIONS[quantity] == "time" else _numbers(arrays[column.name], quantity, column, source)
         if numbers is not None:
-            values[quantity] = numbers
+            values[quantity] = numbers * (-1.0 if is_ardupilot and quantity in DOWN else 1.0)
     if "fix" in values:
-        values["fix"] = values["fix"] - _LEAST_FIX
+        values["fix"] = values["fix"] - (_ARDUPILOT_FIX if is_ardupilot else _LEAST_FIX)
+    if is_ardupilot and set(columns) & {*RATES, *ACCELERATIONS, *ANGLES}:
+        notes.append(f"{source} is of ArduPilot: x forward, y right, z down is turned into x forward, y left, z up")
+    if instance:
+        values = _of_first_sensor(values, arrays[_INSTANCE].to_numpy().astype(np.float64), source, notes)
     said = {
-        quantity: name if unit is None or unit in name else f"{name} [{unit}]"
+        quantity: name if unit is None or unit in name or is_ardupilot else f"{name} [{unit}]"
         for quantity, (name, unit, _) in columns.items()
     }
     return Samples(source, values, said, notes, listing)
+
+
+def _of_first_sensor(values: dict[str, Floats], numbers: Floats, source: str, notes: list[str]) -> dict[str, Floats]:
+    lowest = np.fmin.reduce(numbers)
+    if not (numbers > lowest).any():
+        return values
+    notes.append(f"{source} holds several sensors; the first one is read (I = {lowest:g})")
+    return {quantity: column[numbers == lowest] for quantity, column in values.items()}
 
 
 def _numbers(column: Any, quantity: str, stated: DriveColumn, source: str) -> Floats | None:

@@ -1,10 +1,12 @@
-"""Read a recorded drive, in a process of its own: tables, and bags of ROS 2 and ROS 1."""
+"""Read a recorded drive, in a process of its own: tables, bags of ROS 2 and ROS 1, and ULog files."""
 
+import io
 import os
 import re
 import threading
 from array import array
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stdout
 from itertools import chain, takewhile
 from pathlib import Path
 from traceback import format_exc
@@ -22,10 +24,12 @@ from bumpymap.core import (
     Guard,
     UsageError,
     free_memory,
+    install_command,
     missing_resource,
 )
 from bumpymap.readers.drive_signals import (
     ACCELERATIONS,
+    DOWN,
     LOCAL,
     LONLAT,
     QUATERNION,
@@ -35,9 +39,9 @@ from bumpymap.readers.drive_signals import (
     assemble,
     unknown_quantities,
 )
-from bumpymap.readers.drive_tables import find_columns, open_table, table_samples
+from bumpymap.readers.drive_tables import find_columns, open_table, refuse_large, table_samples
 from bumpymap.readers.raw_scans import BagReader, bag_files, choose_topic, held_topics, is_bag, is_ros1
-from bumpymap.readers.source import size_of
+from bumpymap.readers.source import decoding, open_source, size_of
 
 
 def _sorted(values: dict[str, Floats], topic: str, notes: list[str]) -> dict[str, Floats]:
@@ -134,6 +138,92 @@ def bag_samples(paths: Sequence[Path], columns: Mapping[str, str]) -> list[Sampl
     return found
 
 
+_MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
+
+
+def _vector(quantities: tuple[str, ...], name: str) -> dict[str, tuple[str, float]]:
+    return {quantity: (f"{name}[{axis}]", 1.0) for axis, quantity in enumerate(quantities)}
+
+
+_FIX = {
+    "longitude": ("longitude_deg", 1.0),
+    "latitude": ("latitude_deg", 1.0),
+    "error": ("eph", 1.0),
+    "fix": ("fix_type", 1.0),
+}
+_OLD_FIX = _FIX | {"longitude": ("lon", 1e-7), "latitude": ("lat", 1e-7)}
+_FIELDS: Mapping[str, tuple[str, Sequence[Mapping[str, tuple[str, float]]]]] = {
+    "sensor_combined": ("imu", [_vector(RATES, "gyro_rad") | _vector(ACCELERATIONS, "accelerometer_m_s2")]),
+    "vehicle_angular_velocity": ("imu", [_vector(RATES, "xyz")]),
+    "vehicle_acceleration": ("imu", [_vector(ACCELERATIONS, "xyz")]),
+    "vehicle_attitude": ("attitude", [_vector(("q_w", "q_x", "q_y", "q_z"), "q")]),
+    "vehicle_gps_position": ("gnss", [_FIX, _OLD_FIX]),
+    "sensor_gps": ("gnss", [_FIX, _OLD_FIX]),
+    # x is north and y east in the file
+    "vehicle_local_position": ("odometry", [{"x": ("y", 1.0), "y": ("x", 1.0), "fix": ("xy_valid", 1.0)}]),
+}
+"""Topic -> purpose, and the fields that are read with a factor to the unit of `DriveLog`, as each version has them."""
+_ALTERNATIVES = (
+    ("sensor_combined", "vehicle_angular_velocity"),
+    ("sensor_combined", "vehicle_acceleration"),
+    ("vehicle_attitude",),
+    ("vehicle_gps_position", "sensor_gps"),
+    ("vehicle_local_position",),
+)
+"""Topics of which the first one that is there is read."""
+_LEAST_FIX = {"gnss": 2.0, "odometry": 1.0}
+
+
+def ulog_samples(path: Path) -> list[Samples]:
+    """Read the topics of a ULog that a drive needs, the first instance of each.
+
+    Raises BadInputError: the file is damaged or too large, or is no ULog; UsageError: the extra
+    ``drives`` is not installed.
+    """
+    try:
+        from pyulog import ULog
+    except ImportError as error:
+        raise UsageError(
+            f"ULog files are read with pyulog, which cannot be imported ({error}): {install_command('drives')}"
+        ) from error
+    refuse_large(path)
+    with open_source(path) as stream:
+        if stream.read(len(_MAGIC)) != _MAGIC:
+            raise BadInputError(f"{path} is no ULog: it does not begin with its signature. Copy or download it again")
+        stream.seek(0)
+        with decoding(path, "the ULog"), redirect_stdout(io.StringIO()):  # it prints what is damaged
+            log: Any = ULog(stream, message_name_filter_list=list(_FIELDS))
+    notes = [f"{path.name} is damaged in places, which are left out"] if log.file_corruption else []
+    if log.dropouts:
+        lost = sum(each.duration for each in log.dropouts) * 1e-3
+        notes.append(f"the recorder of {path.name} dropped out {len(log.dropouts):,} times, for {lost:.1f} s in all")
+    topics: dict[str, Mapping[str, Any]] = {}
+    for each in sorted(log.data_list, key=lambda data: data.multi_id):
+        if len(each.data.get("timestamp", ())):
+            topics.setdefault(each.name, each.data)
+    read = dict.fromkeys(next((name for name in names if name in topics), "") for names in _ALTERNATIVES)
+    found = [_ulog_topic(name, topics[name], notes) for name in read if name]
+    if any({*DOWN} & set(samples.values) for samples in found):
+        notes.append("axes of PX4 (x forward, y right, z down) are turned into x forward, y left, z up")
+    listing = f"{path.name}: {', '.join(sorted({str(each.name) for each in log.data_list})) or 'no topic of a drive'}"
+    return [*found, Samples(path.name, notes=notes, listing=listing)]
+
+
+def _ulog_topic(name: str, data: Mapping[str, Any], notes: list[str]) -> Samples:
+    role, versions = _FIELDS[name]
+    fields = next((each for each in versions if next(iter(each.values()))[0] in data), versions[-1])
+    values = {"time": np.asarray(data["timestamp"], np.float64) * 1e-6}
+    for quantity, (field, factor) in fields.items():
+        if field in data:
+            with np.errstate(invalid="ignore"):  # a NaN of float32 may be one that signals
+                values[quantity] = np.asarray(data[field], np.float64) * (-factor if quantity in DOWN else factor)
+    if "fix" in values:
+        values["fix"] = values["fix"] - _LEAST_FIX[role]
+    return Samples(name, _sorted(values, name, notes), {role: name}, notes=[])
+
+
+_ARDUPILOT = b"\xa3\x95"
+"""First bytes of every message of its binary logs."""
 SECONDS, SECONDS_PER_BYTE = 10.0, 2e-6
 """CPU time limit of reading a drive, and for each byte of its files: ten times what real ones need."""
 _MEMORY, _MEMORY_PER_BYTE = 1 << 30, 30
@@ -148,7 +238,7 @@ def read_drive(place: str, columns: Mapping[str, str] | None = None) -> DriveLog
     """Read what the sensors of a vehicle recorded on a drive.
 
     ``place``: a file, the folder of a bag, or several files of one drive joined by commas, in any
-    order: ``imu.csv,gnss.csv``. CSV and other tables of text, bags of ROS 2 and ROS 1;
+    order: ``imu.csv,gnss.csv``. CSV and other tables of text, bags of ROS 2 and ROS 1, ULog;
     ``columns``: quantity -> column, perhaps with its unit: ``{"rate_y": "GyrY[deg/s]", "time":
     "t[ms]"}``; in bags ``imu``, ``gnss`` and ``odometry`` -> topic. An empty name: nothing is read
     for this quantity. Others are columns that have the names of
@@ -243,7 +333,11 @@ def drive_files(place: str) -> list[Path]:
 def _sources(paths: Sequence[Path], wanted: Mapping[str, str]) -> list[Samples]:
     """Read the samples of all files."""
     bags = [path for path in paths if is_bag(path) or is_ros1(path)]
-    tables = [open_table(path) for path in paths if path not in bags]
+    logs = [path for path in paths if path.suffix.lower() in {".ulg", ".ulog"}]
+    texts = [path for path in paths if path not in {*bags, *logs}]
+    for path in texts:
+        _refuse_ardupilot(path)
+    tables = [open_table(path) for path in texts]
     topics = {quantity: name for quantity, name in wanted.items() if quantity in TOPICS}
     if topics and not bags:
         raise BadInputError(f"`columns` names topics ({', '.join(topics)}), and {paths[0]} is no bag. Leave them out")
@@ -260,7 +354,20 @@ def _sources(paths: Sequence[Path], wanted: Mapping[str, str]) -> list[Samples]:
     return [
         *map(table_samples, tables, columns),
         *(bag_samples(bags, topics) if bags else []),
+        *(samples for path in logs for samples in ulog_samples(path)),
     ]
+
+
+def _refuse_ardupilot(path: Path) -> None:
+    """Raise BadInputError for the binary logs of ArduPilot, whose readers cannot be shipped with bumpymap."""
+    with open_source(path) as stream:
+        if stream.read(len(_ARDUPILOT)) != _ARDUPILOT:
+            return
+    raise BadInputError(
+        f"{path} is a binary log of ArduPilot, which is not read itself. Make CSV files of it with pymavlink: "
+        f"mavlogdump.py --format csv --types IMU {path.name} > {path.stem}_imu.csv, the same with --types GPS > "
+        f"{path.stem}_gps.csv, and give {path.stem}_imu.csv,{path.stem}_gps.csv"
+    )
 
 
 def _reset_after_fork() -> None:

@@ -109,7 +109,7 @@ def given(tmp_path_factory):
         *("scan p.mcap --out out", "scan p.db3 --out out"),
         *(f"route layers --points p{suffix}" for suffix in (".csv", ".gpx", ".geojson")),
         "route layers --from 1,1 --to 2,2 --avoid p.geojson",
-        *(f"check --drive p{suffix}" for suffix in (".csv", ".bag", ".mcap")),
+        *(f"check --drive p{suffix}" for suffix in (".csv", ".ulg", ".bag", ".mcap")),
         "check layers --drive survey.las --refit new.json --calibration p.json",
         *("export layers --to plan --out out --route p.geojson", "report layers --out out.html --route p.geojson"),
         *("report piped --out out.html", "info p.las", "calibrate --vehicle p.toml --out out.json"),

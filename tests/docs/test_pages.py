@@ -130,7 +130,7 @@ def test_units_and_examples_of_columns_on_the_page_are_read():
     listed = [row.split("|")[2].strip().split(", ") for row in rows]
     assert sorted(map(sorted, listed)) == sorted(sorted(units) for name, units in UNITS.items() if name != "number")
     examples = re.findall(r"--columns ([^\s`]*=[^\s`]*)", LOGS)
-    assert len(examples) == 5
+    assert len(examples) == 3
     assert all(parse_columns(text) for text in examples)
 
 

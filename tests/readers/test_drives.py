@@ -208,15 +208,25 @@ def test_positions_count_once_where_cells_are_empty_or_repeat_the_last_one(tmp_p
     assert any("only repeat" in note for note in log.notes)
 
 
-@pytest.mark.parametrize(("gyro_names", "time"), [("gyro_rad[{}]", "timestamp"), ("Gyr{}", "TimeUS")])
-def test_logs_as_ulog2csv_and_mavlogdump_write_them(tmp_path, gyro_names, time):
-    columns, axes = drive(), dict(zip("xyz", "012" if "[" in gyro_names else "XYZ", strict=True))
-    names = {axis: gyro_names.format(there) for axis, there in axes.items()}
-    table = {time: columns["time"] * 1e6} | {names[axis]: columns[f"gyro_{axis}"] for axis in "xyz"}
-    named = {"time": f"{time}[us]"} | {f"rate_{axis}": name for axis, name in names.items()}
-    log = read_drive(write(tmp_path / "imu.csv", table), named)
+def test_an_ardupilot_log_as_csv(tmp_path):
+    columns, micros = drive(), np.arange(400) * 10_000
+    imu = {
+        "timestamp": np.repeat(1.7e9 + columns["time"], 2),
+        "TimeUS": np.repeat(micros, 2) + np.tile([0, 40], 400),
+        "I": np.tile([0, 1], 400),
+    }
+    for name, column in (("Gyr", "gyro"), ("Acc", "acc")):
+        for axis, sign in zip("XYZ", (1, -1, -1), strict=True):
+            imu[name + axis] = np.repeat(sign * columns[f"{column}_{axis.lower()}"], 2)
+    imu["GyrX"] = imu["GyrX"] + np.tile([0.0, 9.0], 400)  # the second sensor is broken
+    gps = {"timestamp": 1.7e9 + columns["time"], "TimeUS": micros, "I": np.zeros(400, int)}
+    gps |= {"Status": np.r_[[1] * 20, [6] * 380], "Lat": columns["lat"], "Lng": columns["lon"], "Spd": np.ones(400)}
+    gps = {name: values[::20] for name, values in gps.items()}
+    log = read_drive(f"{write(tmp_path / 'imu.csv', imu)},{write(tmp_path / 'gps.csv', gps)}")
     np.testing.assert_allclose(log.imu.rate, gyro(columns), atol=1e-12)
-    np.testing.assert_allclose(log.imu.time, columns["time"], atol=1e-9)
+    assert log.imu.acceleration[:, 2].mean() == pytest.approx(GRAVITY, abs=0.1)
+    assert len(log.places.time) == 19
+    assert any("I = 0" in note for note in log.notes)
 
 
 # ---- attitudes and accelerations ----
@@ -280,14 +290,14 @@ def test_accelerations_in_g_say_so_and_without_gravity_are_not_used(tmp_path, fa
         (b"time;wx;wy;wz\n0;0,1;0,2;0,3\n", "which have a point (0.25)"),
         (b"time,wx,wy,wz\n" + 3 * b"0,01,0,1,0,2,0,3\n", "do not have the 4 values"),
         (b"time,wx,wy,wz\n", "no samples"),
-        (b'<?xml version="1.0"?>\n<gpx><trk></trk></gpx>', "ogr2ogr and gpsbabel of tracks"),
+        (b'<?xml version="1.0"?>\n<gpx><trk></trk></gpx>', "ogr2ogr and gpsbabel make CSV"),
         (b"wx,wy,wz\n1,2,3\n", "no column named time"),
         (b"time,wx,wy,wz\n0,0,0,1\n1,2,0,1\n", "2 samples"),
-        (b"\xa3\x95\x80\x80" + bytes(200), "mavlogdump.py of those of ArduPilot"),
+        (b"\xa3\x95\x80\x80" + bytes(200), "mavlogdump.py --format csv --types IMU log.BIN > log_imu.csv"),
     ],
 )
 def test_what_is_no_drive(tmp_path, data, says):
-    path = tmp_path / "a.csv"
+    path = tmp_path / ("log.BIN" if "BIN" in says else "a.csv")
     path.write_bytes(data)
     assert says in refusal(path)
 
