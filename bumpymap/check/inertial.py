@@ -207,6 +207,10 @@ _SLOW_MPS = 0.15
 """Speed below which positions give no course, m/s (chosen)."""
 _LEAST_SECONDS = 5.0
 """Shortest time in common, and of driving, from which an offset is found, s (chosen)."""
+_WRONG_UNIT = 15.0
+"""Ratio of turning that only another unit explains: a quarter of 57.3, the degrees of a radian."""
+_LEAST_TURN = 0.5
+"""Turning below which the unit is not judged, rad (chosen)."""
 
 
 def fit_clock(places: MetrePlaces, time: Floats, heading: Floats, name: str) -> tuple[float, bool, float]:
@@ -265,6 +269,34 @@ def _stands_out(explained: Floats, power: float) -> bool:
     left = power - explained
     best = int(np.argmin(left))
     return bool(min(left[0], left[-1]) - left[best] > 0.05 * max(left[best], 1e-3 * power))
+
+
+def refuse_wrong_unit(places: MetrePlaces, offset_s: float, time: Floats, heading: Floats, name: str) -> None:
+    """Refuse a drive whose gyroscope turns in another unit than its course does.
+
+    Raises BadInputError: the turning of both differs by a factor that only a wrong unit explains.
+    """
+    even = np.arange(max(time[0], places.time[0]), min(time[-1], places.time[-1]), _STEP_S)
+    velocity, known = smooth_velocity(places, even, 2.0)
+    use = known & (np.abs(velocity) > 3.0 * _SLOW_MPS)
+    lag = round(3.0 / _STEP_S)
+    both = use[lag:] & use[:-lag]
+    course = np.angle(velocity[lag:] * velocity[:-lag].conj())[both]
+    gyro = np.interp(even + offset_s, time, heading)
+    turn = (gyro[lag:] - gyro[:-lag])[both]
+    if not len(turn):
+        return
+    by_course, by_gyro = float(np.quantile(np.abs(course), 0.8)), float(np.quantile(np.abs(turn), 0.8))
+    if by_gyro > _WRONG_UNIT * max(by_course, _LEAST_TURN / 3.0):
+        raise BadInputError(
+            f"{name}: the gyroscope turns {by_gyro / max(by_course, 1e-9):.3g} times as much as the positions do: its "
+            "rates look like degrees per second read as radians per second. Say the unit with `columns`"
+        )
+    if by_course > _LEAST_TURN and by_gyro < by_course / _WRONG_UNIT:
+        raise BadInputError(
+            f"{name}: the gyroscope turns {by_gyro / by_course:.2g} of what the positions do: its rates look like "
+            "radians per second read as degrees per second. Say the unit with `columns`"
+        )
 
 
 _MOTION_HZ = 0.5

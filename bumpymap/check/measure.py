@@ -18,6 +18,7 @@ from bumpymap.check.inertial import (
     levelling,
     low_pass,
     pieces,
+    refuse_wrong_unit,
     rolling_mean,
     turned,
     upward_in_sensor,
@@ -253,6 +254,7 @@ def _rates(log: DriveLog, imu: EvenImu, places: MetrePlaces | None, band_hz: flo
     clock = 0.0, False, 0.0
     if places is not None:
         clock = fit_clock(places, imu.time, heading, log.name)
+        refuse_wrong_unit(places, clock[0], imu.time, heading, log.name)
     force = level_force(imu, levelling(up.mean(axis=0)), up) if imu.has_force else None
     return _Rates(standing, rate, attitude, heading, clock, force)
 

@@ -10,12 +10,13 @@ import click
 
 from bumpymap.change import DiffConfig
 from bumpymap.cli._options import PATH, Run, grouped_option, job
-from bumpymap.cli._text import Table, print_line
+from bumpymap.cli._text import Table, print_json, print_line
 from bumpymap.core import (
     BadInputError,
     ReportSettings,
     UsageError,
     count_text,
+    settings_schema,
     settings_template,
     share_text,
     shares_text,
@@ -147,14 +148,19 @@ def view_command(run: Run, layers: Path, out: Path | None, route: Path | None) -
 
 @click.command("settings")
 @click.argument("words", nargs=-1, required=True, metavar="COMMAND")
-def settings_command(words: tuple[str, ...]) -> None:
+@click.option(
+    "--schema", is_flag=True, help="Print a JSON schema of the file, for editors that complete and check TOML."
+)
+def settings_command(words: tuple[str, ...], schema: bool) -> None:
     """Print a settings file of COMMAND: every setting with its description and default, commented out.
 
     Remove the # before a line to set it, and give the file with --config. One setting alone is given with --set
-    KEY=VALUE, that of a table with --set TABLE.KEY=VALUE.
+    KEY=VALUE, that of a table with --set TABLE.KEY=VALUE. An editor that knows TOML (Taplo, Even Better TOML) finds the
+    schema by a first line such as "#:schema ./map.schema.json".
 
     \b
     bumpymap settings map > map.toml
+    bumpymap settings map --schema > map.schema.json
     bumpymap map site.laz --out layers --config map.toml
     bumpymap map site.laz --out layers --set pixels=21 --set csf.rigidness=2
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
@@ -165,6 +171,9 @@ def settings_command(words: tuple[str, ...]) -> None:
     command: Any = context.find_root().command
     for word in words:
         command = command.get_command(context, word)
+    if schema:
+        print_json(settings_schema(command.owners), indent=2)
+        return
     print_line(f"# Settings of `bumpymap {name}`, with their defaults. Remove the # before a line to set it, and give")
     print_line("# the file with --config. Options override it; paths are relative to this file.")
     print_line()

@@ -228,6 +228,7 @@ from .settings import (
     refuse_faults as refuse_faults,
     refuse_unknown as refuse_unknown,
     settings_of_call as settings_of_call,
+    settings_schema as settings_schema,
     settings_template as settings_template,
     settings_with_options as settings_with_options,
     short_names as short_names,

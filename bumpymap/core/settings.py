@@ -2,7 +2,8 @@
 
 A field's type says what a value is, a `Setting` in it what is allowed and how the command line shows it. From this come
 the options of a command (`bumpymap.cli`), the keys of a TOML file (`read_settings_file`), the keywords of a Python call
-(`settings_of_call`), and what ``__post_init__`` checks (`check_settings`). Vehicle profiles are parsed in the same way.
+(`settings_of_call`), a schema for editors (`settings_schema`), and what ``__post_init__`` checks (`check_settings`).
+Vehicle profiles are parsed in the same way.
 
 Libraries were weighed: pydantic 2.14 takes 0.18 s to import and 9 ms for each class, where all of ``--help`` takes
 0.1 s; msgspec ends at the first fault. Either would replace the 80 lines of `_Parser`, and need as many for messages.
@@ -252,6 +253,37 @@ def settings_template(owners: Sequence[type]) -> str:
             # A value of JSON, or a list of them, is one of TOML.
             lines.append(f"#{each.name} =" + ("" if value is None else f" {json.dumps(value)}"))
     return "\n".join(lines[1:]) + "\n"
+
+
+def settings_schema(owners: Sequence[type]) -> dict[str, Any]:
+    """Return a JSON schema of the settings file of some classes, by which editors complete and check it."""
+    return {"$schema": "http://json-schema.org/draft-07/schema#", **_schema_of_table(owners)}
+
+
+def _schema_of_table(owners: Iterable[Any]) -> dict[str, Any]:
+    properties: dict[str, Any] = {}
+    for owner in owners:
+        for each, note in _described(owner):
+            kind, setting = each.kind, each.setting or Setting()
+            is_table = is_dataclass(kind)
+            found = _schema_of_table([kind]) if is_table else _schema_of(kind, setting)
+            default = None if is_table or setting.default else plain_json(each.default)
+            more = {} if default is None else {"default": default}
+            properties.setdefault(each.name, {"description": note} | found | more)
+    return {"type": "object", "properties": properties, "additionalProperties": False}
+
+
+def _schema_of(kind: Any, setting: Setting) -> dict[str, Any]:
+    items = get_args(kind)
+    if get_origin(kind) is tuple:
+        count = {} if items[-1] is Ellipsis else {"minItems": len(items), "maxItems": len(items)}
+        return {"type": "array", "items": _schema_of(items[0], setting)} | count
+    if get_origin(kind) is Literal:
+        return {"enum": list(items)}
+    names = ("exclusiveMinimum", "exclusiveMaximum") if setting.exclusive else ("minimum", "maximum")
+    bounds = zip(names, (setting.low, setting.high), strict=True)
+    limits = {name: bound for name, bound in bounds if abs(bound) < math.inf and kind in (int, float)}
+    return {"type": {bool: "boolean", int: "integer", float: "number"}.get(kind, "string")} | limits
 
 
 def check_settings(settings: object) -> None:

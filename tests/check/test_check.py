@@ -136,6 +136,7 @@ def test_a_gap_of_the_imu_does_not_count_and_a_drive_without_accelerometer_says_
     [
         (lambda log: {"imu": ImuTrack(log.imu.time[::5], log.imu.rate[::5], log.imu.acceleration[::5])}, "`band_hz`"),
         (lambda log: {"imu": replace(log.imu, rate=np.degrees(log.imu.rate))}, "in degrees per second, say so"),
+        (lambda log: {"imu": replace(log.imu, rate=np.radians(log.imu.rate))}, "radians per second read as degrees"),
         (lambda log: {"places": replace(log.places, time=log.places.time + 1e6)}, "in common"),
         (lambda _: {"places": None}, "neither positions nor wheel speeds"),
         (lambda log: {"places": first_of(log.places, 5)}, "5 usable positions"),

@@ -1,6 +1,7 @@
 """Every option of every command: what was typed counts, contradictions are refused, one style of help."""
 
 import importlib.util
+import json
 import re
 from types import SimpleNamespace
 
@@ -217,6 +218,27 @@ def test_a_settings_file_names_every_setting_and_its_default(name, tmp_path, mon
     assert (plain.exit_code, plain.stderr) == (stated.exit_code, stated.stderr)
     alike = [re.sub(r" at 0x[0-9a-f]+|memory='?\d+\w*", "", repr(got)) for got in (reached.get(name), first)]
     assert alike[0] == alike[1]
+
+
+@pytest.mark.parametrize("name", ["map", "scan", "train textures"])
+def test_the_schema_of_a_settings_file_has_its_keys_tables_and_bounds(name):
+    validator = pytest.importorskip("jsonschema").Draft7Validator
+    schema = json.loads(run("settings", *name.split(), "--schema").stdout)
+    validator.check_schema(schema)
+    lines = re.findall(r"^#([a-z_]+) =|^#\[([a-z_]+)\]", run("settings", *name.split()).stdout, re.MULTILINE)
+    inner = [each.get("properties", {}) for each in schema["properties"].values()]
+    assert {*schema["properties"]}.union(*inner) == {key or table for key, table in lines}
+    if name == "map":
+        check = validator(schema)
+        assert check.is_valid({"tile_size": 5.0, "ground": "csf", "csf": {"rigidness": 2}, "ground_classes": [2, 8]})
+        for wrong in (
+            {"tile_size": 0},
+            {"ground": "none"},
+            {"csf": {"rigidness": 4}},
+            {"ground_classes": ["x"]},
+            {"no": 1},
+        ):
+            assert not check.is_valid(wrong), wrong
 
 
 def test_a_set_value_keeps_the_rest_of_a_table(reached, tmp_path):
