@@ -9,7 +9,7 @@
 #include <cmath>
 #include <limits>
 
-#include "surface.hpp"
+#include "polar.hpp"
 
 namespace bumpy {
 namespace {

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CLASSES, FAIL_SHARE, NOT_TRAVERSABLE, ClassedSectors, GridSettings, GroundGrid, loops
 from bumpymap.scan.align import judge_by_view
-from bumpymap.scan.ground import ZoneGrid, median
 from bumpymap.scan.places import class_field
+from bumpymap.scan.sectors import ZoneGrid
 
 _OCCUPANCY = np.array([0, 33, 66, 100, -1], np.int8)
 """Occupancy of ground of class 0 (smooth), 1 (fair) and 2 (rough), of what is not traversable, and of the unknown."""
@@ -88,7 +88,7 @@ def see_cells(
     level = np.flatnonzero(stack.traversable)
     slope[level] = -normal[level, :2] / normal[level, 2:]
     if len(level):
-        slope[-1] = median(slope[level])
+        slope[-1] = np.median(slope[level], axis=0)
     layers = np.full((6, cells), np.nan, np.float32)
     kind, class_id, sector = *np.empty((2, cells), np.uint8), np.full(cells, -1, np.int32)
     names = ("elevation", "step", "top", "clearance", "tip")

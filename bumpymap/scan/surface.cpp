@@ -12,34 +12,6 @@
 namespace bumpy {
 namespace {
 
-// Weighted sums of a fit of heights over a place.
-struct Sums {
-    double n = 0.0, x = 0.0, y = 0.0, xx = 0.0, xy = 0.0, yy = 0.0, h = 0.0, xh = 0.0, yh = 0.0;
-
-    void add(double weight, double u, double v, double height) {
-        const double wu = weight * u, wv = weight * v, wh = weight * height;
-        n += weight;
-        x += wu;
-        y += wv;
-        xx += wu * u;
-        xy += wu * v;
-        yy += wv * v;
-        h += wh;
-        xh += wh * u;
-        yh += wh * v;
-    }
-
-    // The plane of least squares, pulled to zero with the weight of some points there and a metre from it.
-    Tilt solve(double at, double slope) const {
-        const double nn = n + at, uu = xx + slope, vv = yy + slope;
-        const double xu = uu - x * x / nn, xv = xy - x * y / nn, yv = vv - y * y / nn;
-        const double hu = xh - x * h / nn, hv = yh - y * h / nn;
-        const double det = xu * yv - xv * xv;
-        const double a = (hu * yv - hv * xv) / det, b = (hv * xu - hu * xv) / det;
-        return {a, b, (h - a * x - b * y) / nn};
-    }
-};
-
 // ---- Layers ----
 
 // Points that are so far above the lowest of their bin belong to its layer, m; those up to this over it show that it is
@@ -86,41 +58,35 @@ struct Layer {
 
 // Memory of the next loop.
 struct LayerSums {
-    Scratch<float> height, lowest;  // (points,), (bins,) m
+    Scratch<float> lowest;  // (bins,) m
     Scratch<Band> bands;
     Scratch<Layer> layers;
 };
 
 // Finds the layer of every bin, above a plane.
-Layers find_layers(const CellPoints& points, const BinRings& rings, Tilt plane) {
-    const Index bins = rings.count * bin_columns, placed = points.starts[points.starts.size() - 2];
-    thread_local LayerSums kept;
-    auto& [height, lowest, bands, layers] = kept;
-    height.resize(static_cast<std::size_t>(placed));
+Layers find_layers(const PlacedPoints& points, const BinRings& rings, Tilt plane) {
+    const Index bins = rings.count * bin_columns;
+    auto& [lowest, bands, layers] = kept_memory<LayerSums>();
     renew(lowest, bins, nothing);
     renew(bands, bins);
     renew(layers, bins);
-    const auto xyz = points.xyz;
-    for (Index i = 0; i < placed; ++i) height[i] = static_cast<float>(plane.above(xyz(0, i), xyz(1, i), xyz(2, i)));
-    for (Index i = 0; i < placed; ++i) {
-        float& low = lowest[points.bin[i]];
-        low = std::min(low, height[i]);
-    }
+    const auto height = [plane](const PlacedPoint& p) { return static_cast<float>(plane.above(p.x, p.y, p.z)); };
+    for (const PlacedPoint& p : points) lowest[p.bin] = std::min(lowest[p.bin], height(p));
     for (Index bin = 0; bin < bins; ++bin)
         if (lowest[bin] != nothing) bands[bin] = band_of(bin, lowest, rings);
-    for (Index i = 0; i < placed; ++i) {
-        const Band band = bands[points.bin[i]];
-        const float h = height[i];
+    for (const PlacedPoint& p : points) {
+        const Band band = bands[p.bin];
+        const float h = height(p);
         if (!(band.low <= h && h < band.high + stack_m)) continue;
-        Layer& layer = layers[points.bin[i]];
+        Layer& layer = layers[p.bin];
         if (h >= band.high) {
             layer.over += 1.0;
             continue;
         }
         layer.count += 1.0;
-        layer.x += exact(xyz(0, i));
-        layer.y += exact(xyz(1, i));
-        layer.z += exact(xyz(2, i));
+        layer.x += exact(p.x);
+        layer.y += exact(p.y);
+        layer.z += exact(p.z);
     }
     Layers out;
     for (Index bin = 0; bin < bins; ++bin) {
@@ -339,7 +305,7 @@ std::vector<Level> fit_levels(const Layers& layers, const BinRings& rings, Tilt 
 
 }  // namespace
 
-Surface find_surface(const CellPoints& points, const BinRings& rings) {
+Surface find_surface(const PlacedPoints& points, const BinRings& rings) {
     Layers layers = find_layers(points, rings, {});
     Tilt whole = fit_whole(layers);
     if (whole.a * whole.a + whole.b * whole.b > leans * leans) {
