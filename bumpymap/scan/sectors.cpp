@@ -218,7 +218,7 @@ bool find_heights(const Surface& surface, const BinRings& rings, Frame& s) {
     const Layers& layers = surface.layers;
     for (Index i = 0; i < layers.size(); ++i) {
         const auto [ring, column] = layers.middle(i);
-        s.planes[layers.bin[i]] = surface.levels.back().touch(layers.x[i], layers.y[i], ring, column);
+        s.planes[layers.bin[i]] = surface.levels.back().at(ring, column);
     }
     Index higher = 0, lower = 0;
     for (Index i = 0; i < s.points.count(); ++i) {
@@ -579,7 +579,6 @@ void measure_cell(
         out.measures(row, k) = measures[static_cast<std::size_t>(k)] / static_cast<double>(end - begin);
     if (has_ground) {
         s.own[cell] = measure_ground(ground, around, whole, rule, row, out, s.image);
-        if (!out.traversable[row]) s.own[cell] = {};
         return;
     }
     std::fill_n(&out.normal(row, 0), 3, 0.0F);
@@ -691,7 +690,7 @@ Index find_sectors(
     Index rows = 0;
     for (Index cell = 0; cell < cells; ++cell) {
         const double x = centres(cell, 0), y = centres(cell, 1), square = x * x + y * y;
-        s.around[cell] = s.own[cell] = wide.touch(x, y, rings.place(square), full_turn(turn_of(x, y)) * bin_columns);
+        s.around[cell] = s.own[cell] = wide.at(rings.place(square), full_turn(turn_of(x, y)) * bin_columns);
         if (s.starts[cell] == s.starts[cell + 1]) continue;
         const float nothing = std::numeric_limits<float>::infinity();
         std::fill_n(&s.lowest[cell * pixels], pixels, std::array{nothing, nothing});

@@ -200,9 +200,8 @@ std::vector<Level> fit_levels(const Layers& layers, const BinRings& rings, Tilt 
     for (std::size_t number = 0; number < level_steps.size(); ++number) {
         Level level(level_steps[number], rings);
         for (Index window = 0; window < level.size(); ++window) {
-            const auto [x, y] = level.centre(window, rings);
             const auto [ring, column] = level.middle(window);
-            level.planes.push_back(number > 0 ? levels.back().touch(x, y, ring, column) : whole);
+            level.planes.push_back(number > 0 ? levels.back().at(ring, column) : whole);
         }
         fit_level(layers, continues, rings, number, level);
         levels.push_back(std::move(level));

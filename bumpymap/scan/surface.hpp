@@ -62,10 +62,10 @@ struct Layers {
     }
 };
 
-// The four windows around a place, their weights there, and how these grow with bins outwards and around.
+// The four windows around a place, and their weights there.
 struct Windows {
     std::array<Index, 4> number;
-    std::array<double, 4> weight, outwards, across;
+    std::array<double, 4> weight;
 };
 
 // A level of the surface: a plane for each of its overlapping windows.
@@ -88,9 +88,7 @@ class Level {
         const double near = 1.0 - far, left_of = 1.0 - right;
         return {
             {begin + a, begin + b, begin + columns_ + a, begin + columns_ + b},
-            {near * left_of, near * right, far * left_of, far * right},
-            {-left_of / size, -right / size, left_of / size, right / size},
-            {-near / size, near / size, -far / size, far / size}};
+            {near * left_of, near * right, far * left_of, far * right}};
     }
 
     // The middle of a window in bins outwards and around.
@@ -107,6 +105,9 @@ class Level {
         return {r * std::cos(turn), r * std::sin(turn)};
     }
 
+    // The plane around a place in bins outwards and around.
+    Tilt at(double ring, double column) const { return blend(around(ring, column)); }
+
     Tilt blend(const Windows& at) const {
         Tilt out;
         for (std::size_t k = 0; k < 4; ++k) {
@@ -115,25 +116,6 @@ class Level {
             out.b += at.weight[k] * plane.b;
             out.c += at.weight[k] * plane.c;
         }
-        return out;
-    }
-
-    // The plane that touches the surface at a place, m, in bins outwards and around.
-    Tilt touch(double x, double y, double ring, double column) const {
-        const Windows at = around(ring, column);
-        Tilt out = blend(at);
-        const double square = x * x + y * y, height = out.height(x, y);
-        double outwards = 0.0, across = 0.0;
-        for (std::size_t k = 0; k < 4; ++k) {
-            const double own = planes[at.number[k]].height(x, y);
-            outwards += at.outwards[k] * own;
-            across += at.across[k] * own;
-        }
-        outwards *= octave_rings / (std::numbers::ln2 * std::max(square, 1e-6));
-        across *= bin_columns / (2.0 * std::numbers::pi * std::max(square, 1e-6));
-        out.a += outwards * x - across * y;
-        out.b += outwards * y + across * x;
-        out.c = height - out.a * x - out.b * y;
         return out;
     }
 
