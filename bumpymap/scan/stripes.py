@@ -136,9 +136,9 @@ def classify_filter(stack: SectorStack, model: StripeModel | None = None) -> Cla
     is_blocked = is_covered & (stack.obstacle_count >= _BLOCKED_SHARE * standing)
     rougher = np.maximum(nearest, is_covered.astype(np.uint8) + is_blocked.astype(np.uint8))
     class_id = np.where(stack.traversable, rougher, np.uint8(NOT_TRAVERSABLE))
-    # Between two centres a sector says part of each class: a small change of its stripes changes little around it.
-    between = np.interp(-stripes, -np.array(model.centres), np.arange(CLASSES))
-    says = np.maximum(1.0 - np.abs(np.where(rougher > nearest, rougher, between)[:, None] - np.arange(CLASSES)), 0.0)
+    # Between two centres a sector says part of each class, so that a small change of its stripes changes little.
+    between, classes = np.interp(-stripes, -np.array(model.centres), np.arange(CLASSES)), np.arange(CLASSES)
+    says = np.maximum(1.0 - np.abs(np.where(rougher > nearest, rougher, between)[:, None] - classes), 0.0)
     return with_places(stack, class_id, stripes, "filter", says)
 
 
