@@ -14,7 +14,7 @@
 namespace bumpy {
 namespace {
 
-// Rays from the sensor through each side of a grid of square cells: at 30 m they are 0.33 m apart; RAYS in cells.py.
+// Rays from the sensor through each side of a grid of square cells, counter-clockwise: at 30 m they are 0.33 m apart.
 constexpr Index side_rays = 180;
 constexpr Index all_rays = 4 * side_rays;
 // Points whose cells are found at once: they stay in the nearest cache.
@@ -334,14 +334,41 @@ class RayFollower {
 
 // ---- Cells ----
 
-// The place of a cell in bins, outwards and around.
-using BinPlace = std::array<std::int32_t, 2>;
+// The place of a cell in bins, outwards and around; the first and the last ray through it, and its ring: those hold the
+// cells of one distance along x or y.
+struct CellPlace {
+    std::int32_t outwards, around, first, last, ring;
+};
+
+// Finds the places of the cells of a row, without a branch: several at once.
+void find_row(Index row, const BinRings& rings, const CellRule& rule, Scratch<CellPlace>& out) {
+    const double up = static_cast<double>(row) + 0.5, half = static_cast<double>(rule.half), y = up - half;
+    for (Index column = 0; column < out.count(); ++column) {
+        const double right = static_cast<double>(column) + 0.5, x = right - half;
+        const auto axis = [&](Index k) {
+            return rule.to_sensor(k, 0) * right + rule.to_sensor(k, 1) * up + rule.to_sensor(k, 2);
+        };
+        const double east = axis(0), north = axis(1), turn = full_turn(turn_of(east, north));
+        const bool ahead = std::abs(x) >= std::abs(y);
+        const double lead = ahead ? x : y, beside = ahead ? y : -x, far = std::abs(lead);
+        const double across = lead > 0.0 ? beside : -beside;
+        const auto ray = [&](double edge) {
+            const double place = ((across + edge) / far + 1.0) * (0.5 * side_rays);
+            return static_cast<std::int32_t>(std::clamp(place, 0.0, static_cast<double>(side_rays)));
+        };
+        const std::int32_t first = ray(-0.5), begin = side_rays * ((lead > 0.0 ? 0 : 2) + (ahead ? 0 : 1));
+        out[column] = {
+            rings.parts(east * east + north * north),
+            static_cast<std::int32_t>(turn * static_cast<double>(bin_columns * bin_parts)), begin + first,
+            begin + std::max(ray(0.5) - 1, first), static_cast<std::int32_t>(far)};
+    }
+}
 
 // Finds the kind of a cell, and the sector whose ground is known there.
 void judge_cell(
-    Index cell, BinPlace place, const ClassField& field, const ClassedPoints& scan, const CellRule& rule,
-    Array<const std::int32_t, 2> rays, const SquareCells& out, const Laying& s) {
-    const Index first = rays(cell, 0), last = rays(cell, 1), ring = rays(cell, 2);
+    Index cell, const CellPlace& place, const ClassField& field, const ClassedPoints& scan, const CellRule& rule,
+    const SquareCells& out, const Laying& s) {
+    const auto [outwards, around, first, last, ring] = place;
     Index seen = 0, beneath = 0;
     bool drops = false;
     std::int32_t home = -1;
@@ -361,31 +388,16 @@ void judge_cell(
     const std::uint8_t kind = stops ? barred : scan.kind[of];
     std::uint8_t class_id = scan.class_id[of];
     if (class_id < barred) {
-        const std::uint8_t found = field.at(place[0], place[1]);
+        const std::uint8_t found = field.at(outwards, around);
         if (found != field.unknown) class_id = found;
     }
     out.class_id[cell] = class_id;
     out.kind[cell] = kind < barred ? class_id : kind;
 }
 
-// Finds the places of the cells of a row, without a branch: several at once.
-void find_row(Index row, const BinRings& rings, const CellRule& rule, Scratch<BinPlace>& out) {
-    for (Index column = 0; column < out.count(); ++column) {
-        const auto axis = [&](Index k) {
-            return rule.to_sensor(k, 0) * (static_cast<double>(column) + 0.5) +
-                   rule.to_sensor(k, 1) * (static_cast<double>(row) + 0.5) + rule.to_sensor(k, 2);
-        };
-        const double x = axis(0), y = axis(1), turn = full_turn(turn_of(x, y));
-        out[column] = {
-            rings.parts(x * x + y * y), static_cast<std::int32_t>(turn * static_cast<double>(bin_columns * bin_parts))};
-    }
-}
-
 // Finds the ground of every cell, the objects on it and over it, and its kind. `out` comes as it is without a
 // point: heights NaN, rows -1.
-void lay_cells(
-    ClassedPoints scan, ZoneGrid grid, ClassField field, CellRule rule, Array<const std::int32_t, 2> rays,
-    SquareCells out) {
+void lay_cells(ClassedPoints scan, ZoneGrid grid, ClassField field, CellRule rule, SquareCells out) {
     Laying& s = kept_memory<Laying>();
     s.renew_all(scan.points.shape[0], rule.half);
     sort_into_cells(scan, rule, out, s);
@@ -398,11 +410,11 @@ void lay_cells(
         RayFollower(ray, along_x ? ahead : -ahead * across, along_x ? ahead * across : ahead, scan, rule, s).follow();
     }
     const BinRings rings(grid);
-    Scratch<BinPlace> places(rule.side());
+    Scratch<CellPlace> places(rule.side());
     for (Index cell = 0; cell < out.kind.size(); ++cell) {
         const Index column = cell % rule.side();
         if (column == 0) find_row(cell / rule.side(), rings, rule, places);
-        judge_cell(cell, places[column], field, scan, rule, rays, out, s);
+        judge_cell(cell, places[column], field, scan, rule, out, s);
     }
 }
 
