@@ -51,7 +51,7 @@ constexpr double plane_pull = 1e-3, slope_pull = 0.1;
 
 // The ground points of a cell.
 struct CellGround {
-    Scratch<double> x, y, h;  // from the middle of the cell, and over the ground around it, m
+    Scratch<double> x, y, h;  // place, and height over the ground around the cell, m
     Scratch<std::int32_t> pixel;
 
     // Those within `reach` of a plane, m, and their own plane.
@@ -378,27 +378,25 @@ constexpr double near_plane = 0.1;
 // Most pixels along a side of a heightmap, as `PolarSettings` allows.
 constexpr std::size_t most_pixels = 64;
 
-// The sum over the eight neighbours of a pixel, in rows of `wide`.
-float sum_around(const float* pixel, Index wide) {
-    const float *up = pixel - wide, *down = pixel + wide;
-    return up[-1] + up[0] + up[1] + pixel[-1] + pixel[1] + down[-1] + down[0] + down[1];
-}
-
 // Gives unknown pixels of a row the mean of their known neighbours, without a branch: several at once; returns the
-// number of those that have any.
+// number of those that have any. All begin at the margin.
 std::int32_t fill_row(const float* height, const float* known, Index size, float* out_height, float* out_known) {
-    std::array<float, most_pixels> heights, knowns;  // for the compiler to see that they are memory of their own
+    const auto wide = static_cast<std::ptrdiff_t>(size + 2);
+    std::array<float, most_pixels + 2> heights, knowns;  // sums of three pixels outwards
+    for (std::ptrdiff_t q = 0; q < wide; ++q) {
+        const auto k = static_cast<std::size_t>(q);
+        heights[k] = height[q - wide] + height[q] + height[q + wide];
+        knowns[k] = known[q - wide] + known[q] + known[q + wide];
+    }
     std::int32_t filled = 0;
-    for (Index q = 0; q < size; ++q) {
-        const float total = sum_around(height + q, size + 2), count = sum_around(known + q, size + 2);
+    for (std::size_t q = 1; q <= static_cast<std::size_t>(size); ++q) {
+        const float total = heights[q - 1] + heights[q] + heights[q + 1];
+        const float count = knowns[q - 1] + knowns[q] + knowns[q + 1];
         const bool fills = (known[q] == 0.0F) & (count > 0.0F);
-        const float mean = total / count, own = height[q];
-        heights[static_cast<std::size_t>(q)] = fills ? mean : own;
-        knowns[static_cast<std::size_t>(q)] = fills ? 1.0F : known[q];
+        out_height[q] = fills ? total / count : height[q];
+        out_known[q] = fills ? 1.0F : known[q];
         filled += fills ? 1 : 0;
     }
-    std::copy_n(heights.begin(), size, out_height);
-    std::copy_n(knowns.begin(), size, out_known);
     return filled;
 }
 
@@ -428,7 +426,7 @@ Index fill_heights(const CellGround& ground, Tilt plane, Array<float, 2> heights
     next = image;
     for (Index missing = size * size - held; missing > 0; std::swap(image, next)) {
         for (Index row = 0; row < size; ++row) {
-            const Index p = (row + 1) * wide + 1;
+            const Index p = (row + 1) * wide;
             missing -= fill_row(&image.height[p], &image.known[p], size, &next.height[p], &next.known[p]);
         }
     }
