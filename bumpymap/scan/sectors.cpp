@@ -20,7 +20,8 @@ struct ScanRule {
 // Sectors with enough points, one row each in the order of cells, as in `SectorStack`; there is room for a row more
 // than cells.
 struct SectorRows {
-    Array<std::int32_t> cell, count, ground_count, obstacle_count, overhead_count;
+    Array<std::int16_t> zone, ring, sector;
+    Array<std::int32_t> count, ground_count, obstacle_count, overhead_count;
     Array<bool> traversable, drop;
     Array<float, 2> normal;
     Array<float, 3> heights;
@@ -45,16 +46,26 @@ struct PointRows {
 enum BinSum : std::size_t { near, sum, squares, rising, low, standing, over, bin_sums };
 using BinSums = std::array<double, bin_sums>;
 
-// Points that would lie on the ground around the sector, at its middle, and the same in points a metre from it: on one
-// scan line they decide how the ground leans across it (chosen).
+// What pulls the plane of a sector to the ground around it: the number of points at the sensor that would lie on it,
+// and their spread, m^2. On one scan line this decides how the ground leans across it (chosen).
 constexpr double plane_pull = 1e-3, slope_pull = 0.1;
 
-// The ground points of a cell.
-struct CellGround {
-    Scratch<double> x, y, h;  // place, and height over the ground around the cell, m
+// Ground points of a cell, or their means by pixel: place, and height over the ground around the cell, m.
+struct GroundPoints {
+    Scratch<double> x, y, h;
     Scratch<std::int32_t> pixel;
 
-    // Those within `reach` of a plane, m, and their own plane.
+    void clear() {
+        for (auto* values : {&x, &y, &h}) values->clear();
+        pixel.clear();
+    }
+    void add(double east, double north, double height, std::int32_t of) {
+        x.push_back(east);
+        y.push_back(north);
+        h.push_back(height);
+        pixel.push_back(of);
+    }
+    // The plane of those within `reach` of a plane, m.
     Tilt fit(Tilt near, double reach) const {
         Sums sums;
         for (Index i = 0; i < x.count(); ++i)
@@ -70,8 +81,9 @@ struct Padded {
 
 // A heightmap in work.
 struct HeightImage {
+    Scratch<std::array<double, 4>> sums;  // (pixels^2,) number of the points, and sums of x, y and height, m
+    GroundPoints means;                   // of pixels with points
     Padded image, next;
-    Scratch<std::array<double, 2>> sums;  // (pixels^2,) number and sum of heights, m
 };
 
 // A frame on its way through the loop: memory that is kept from scan to scan.
@@ -87,7 +99,7 @@ struct Frame {
     Scratch<Tilt> around, own;  // (cells,) the ground around their middles, and that of their points
     Scratch<std::array<float, 2>>
         lowest;           // (cells * pixels^2,) z of the lowest ground point and of the lowest other, m
-    CellGround ground;    // of the cell that is measured
+    GroundPoints ground;  // of the cell that is measured
     Scratch<float> feet;  // (pixels^2,) height of the lowest object in each, m
     HeightImage image;
 };
@@ -373,7 +385,7 @@ void measure_places(const ScanRule& rule, Frame& s, Array<float, 2> out) {
 
 // Fewest ground points of a sector that has ground (chosen).
 constexpr Index least_ground = 10;
-// A sector's plane is that of its ground points, then that of those nearer to it than this, m.
+// A sector's plane is that of the means by pixel of its ground, then twice that of those nearer to it than this, m.
 constexpr double near_plane = 0.1;
 // Most pixels along a side of a heightmap, as `PolarSettings` allows.
 constexpr std::size_t most_pixels = 64;
@@ -400,28 +412,33 @@ std::int32_t fill_row(const float* height, const float* known, Index size, float
     return filled;
 }
 
-// Writes the mean height over a plane of every pixel, and into empty ones, from the rim inwards, the mean of their
-// known neighbours; returns the number of pixels with points.
-Index fill_heights(const CellGround& ground, Tilt plane, Array<float, 2> heights, HeightImage& s) {
-    const Index size = heights.shape[0], wide = size + 2;
-    auto& [image, next, sums] = s;
-    renew(sums, size * size);
-    for (auto* values : {&image.height, &image.known}) renew(*values, wide * wide);
+// Finds the means of the ground points by pixel.
+void find_means(const GroundPoints& ground, Index pixels, HeightImage& s) {
+    renew(s.sums, pixels);
+    s.means.clear();
     for (Index i = 0; i < ground.x.count(); ++i) {
-        auto& [count, total] = sums[ground.pixel[i]];
+        auto& [count, x, y, h] = s.sums[ground.pixel[i]];
         count += 1.0;
-        total += exact(plane.above(ground.x[i], ground.y[i], ground.h[i]));
+        x += exact(ground.x[i]);
+        y += exact(ground.y[i]);
+        h += exact(ground.h[i]);
     }
-    Index held = 0;
-    for (Index row = 0; row < size; ++row) {
-        for (Index column = 0; column < size; ++column) {
-            const auto [count, total] = sums[row * size + column];
-            if (count == 0.0) continue;
-            const Index p = (row + 1) * wide + column + 1;
-            image.height[p] = static_cast<float>(total / count);
-            image.known[p] = 1.0F;
-            ++held;
-        }
+    for (Index k = 0; k < pixels; ++k) {
+        const auto [count, x, y, h] = s.sums[k];
+        if (count > 0.0) s.means.add(x / count, y / count, h / count, static_cast<std::int32_t>(k));
+    }
+}
+
+// Writes the mean height over a plane of every pixel, and into empty ones, from the rim inwards, the mean of their
+// known neighbours.
+void fill_heights(Tilt plane, Array<float, 2> heights, HeightImage& s) {
+    const Index size = heights.shape[0], wide = size + 2, held = s.means.x.count();
+    auto& [sums, means, image, next] = s;
+    for (auto* values : {&image.height, &image.known}) renew(*values, wide * wide);
+    for (Index k = 0; k < held; ++k) {
+        const Index p = (means.pixel[k] / size + 1) * wide + means.pixel[k] % size + 1;
+        image.height[p] = static_cast<float>(plane.above(means.x[k], means.y[k], means.h[k]));
+        image.known[p] = 1.0F;
     }
     next = image;
     for (Index missing = size * size - held; missing > 0; std::swap(image, next)) {
@@ -432,17 +449,19 @@ Index fill_heights(const CellGround& ground, Tilt plane, Array<float, 2> heights
     }
     for (Index row = 0; row < size; ++row)
         std::copy_n(&image.height[(row + 1) * wide + 1], size, heights.at(row).begin());
-    return held;
 }
 
 // Measures the ground of a sector: normal, spread, heightmap; returns its plane. `around`: the ground around it;
 // `whole`: that of the scan.
 Tilt measure_ground(
-    const CellGround& ground, Tilt around, Tilt whole, const ScanRule& rule, Index row, const SectorRows& out,
+    const GroundPoints& ground, Tilt around, Tilt whole, const ScanRule& rule, Index row, const SectorRows& out,
     HeightImage& image) {
     const Index size = ground.x.count();
     const auto count = static_cast<double>(size);
-    const Tilt all = ground.fit({}, infinite), plane = ground.fit(ground.fit(all, near_plane), near_plane);
+    find_means(ground, rule.pixels * rule.pixels, image);
+    const GroundPoints& means = image.means;
+    const Tilt all = ground.fit({}, infinite),
+               plane = means.fit(means.fit(means.fit({}, infinite), near_plane), near_plane);
     const double a = around.a + all.a, b = around.b + all.b, upward = 1.0 / std::sqrt(a * a + b * b + 1.0);
     out.normal(row, 0) = static_cast<float>(-a * upward);
     out.normal(row, 1) = static_cast<float>(-b * upward);
@@ -459,8 +478,8 @@ Tilt measure_ground(
     const double east = around.a + plane.a, north = around.b + plane.b;
     out.variance[row] = static_cast<float>(std::max(square / count - (total / count) * (total / count), 0.0));
     out.residual[row] = static_cast<float>(residual / count / std::sqrt(east * east + north * north + 1.0));
-    const Index held = fill_heights(ground, plane, out.heights.at(row), image);
-    out.coverage[row] = static_cast<float>(held) / static_cast<float>(rule.pixels * rule.pixels);
+    fill_heights(plane, out.heights.at(row), image);
+    out.coverage[row] = static_cast<float>(means.x.count()) / static_cast<float>(rule.pixels * rule.pixels);
     out.ground_count[row] = static_cast<std::int32_t>(size);
     return {east, north, 0.0};
 }
@@ -507,9 +526,8 @@ void leave_out_airborne(const Objects& objects, double reach, Index side) {
 void measure_cell(
     Index cell, double away, Tilt whole, const ScanRule& rule, Index row, const SectorRows& out, const PointRows& of,
     Frame& s) {
-    CellGround& ground = s.ground;
-    for (auto* values : {&ground.x, &ground.y, &ground.h}) values->clear();
-    ground.pixel.clear();
+    GroundPoints& ground = s.ground;
+    ground.clear();
     const Index pixels = rule.pixels * rule.pixels, begin = s.starts[cell], end = s.starts[cell + 1];
     const Array<float, 3> drawn = out.objects.at(row);
     std::fill_n(drawn.data, drawn.count(), 0.0F);
@@ -533,10 +551,7 @@ void measure_cell(
         const float* place = &of.places(bin, 0);
         for (std::size_t k = 0; k < measures.size(); ++k) measures[k] += exact(place[k]);
         if (is_ground) {
-            ground.x.push_back(x);
-            ground.y.push_back(y);
-            ground.h.push_back(around.above(x, y, z));
-            ground.pixel.push_back(pixel);
+            ground.add(x, y, around.above(x, y, z), pixel);
             continue;
         }
         if (h >= height) {
@@ -567,7 +582,6 @@ void measure_cell(
     }
     const bool has_ground = ground.x.count() >= least_ground;
     const float unknown = std::numeric_limits<float>::quiet_NaN();
-    out.cell[row] = static_cast<std::int32_t>(cell);
     out.count[row] = static_cast<std::int32_t>(end - begin);
     out.obstacle_count[row] = obstacles;
     out.overhead_count[row] = overhead;
@@ -663,10 +677,8 @@ Scratch<std::int32_t> find_drops(const ZoneGrid& grid, Index pixels, double leas
 }
 
 // Finds the ground of a scan, and measures the sectors with more than `least_points` points; returns their number.
-// `centres`: (cells, 2) x and y, m. Points come without height and ground, and as not airborne.
-Index find_sectors(
-    Array<const float, 2> points, ZoneGrid grid, Array<const double, 2> centres, ScanRule rule, SectorRows out,
-    PointRows of) {
+// Points come without height and ground, and as not airborne.
+Index find_sectors(Array<const float, 2> points, ZoneGrid grid, ScanRule rule, SectorRows out, PointRows of) {
     Frame& s = kept_memory<Frame>();
     const BinRings rings(grid);
     const Placer placer(grid, rule.pixels);
@@ -685,23 +697,32 @@ Index find_sectors(
     for (auto* planes : {&s.around, &s.own}) planes->resize(static_cast<std::size_t>(cells));
     s.lowest.resize(static_cast<std::size_t>(cells * pixels));
     Scratch<std::int32_t> row_of(cells, -1);
-    Index rows = 0;
-    for (Index cell = 0; cell < cells; ++cell) {
-        const double x = centres(cell, 0), y = centres(cell, 1), square = x * x + y * y;
-        s.around[cell] = s.own[cell] = wide.at(rings.place(square), full_turn(turn_of(x, y)) * bin_columns);
-        if (s.starts[cell] == s.starts[cell + 1]) continue;
+    Index rows = 0, cell = 0;
+    const auto measure = [&](Index zone, Index ring, Index sector) {
+        const double width = (grid.edges[zone + 1] - grid.edges[zone]) / static_cast<double>(grid.rings[zone]);
+        const double away = grid.edges[zone] + (static_cast<double>(ring) + 0.5) * width;
+        const double turn = (static_cast<double>(sector) + 0.5) / static_cast<double>(grid.sectors[zone]) + grid.start;
+        const double column = (turn - std::floor(turn)) * static_cast<double>(bin_columns);
+        s.around[cell] = s.own[cell] = wide.at(rings.place(away * away), column);
+        if (s.starts[cell] == s.starts[cell + 1]) return;
         const float nothing = std::numeric_limits<float>::infinity();
         std::fill_n(&s.lowest[cell * pixels], pixels, std::array{nothing, nothing});
-        measure_cell(cell, std::sqrt(square), surface.whole, rule, rows, out, of, s);
-        if (s.starts[cell + 1] - s.starts[cell] > rule.least_points) row_of[cell] = static_cast<std::int32_t>(rows++);
-    }
+        measure_cell(cell, away, surface.whole, rule, rows, out, of, s);
+        if (s.starts[cell + 1] - s.starts[cell] <= rule.least_points) return;
+        out.zone[rows] = static_cast<std::int16_t>(zone);
+        out.ring[rows] = static_cast<std::int16_t>(ring);
+        out.sector[rows] = static_cast<std::int16_t>(sector);
+        row_of[cell] = static_cast<std::int32_t>(rows++);
+    };
+    for (Index zone = 0; zone < grid.sectors.size(); ++zone)
+        for (Index ring = 0; ring < grid.rings[zone]; ++ring)
+            for (Index sector = 0; sector < grid.sectors[zone]; ++sector, ++cell) measure(zone, ring, sector);
     const Scratch<std::int32_t> drops = find_drops(grid, rule.pixels, rule.belly_m, surface.whole, s);
-    Index cell = 0;
-    for (Index zone = 0; zone < grid.sectors.size(); ++zone) {
-        const double seen = drop_share * static_cast<double>(drop_directions) / static_cast<double>(grid.sectors[zone]);
-        for (const Index end = cell + grid.sectors[zone] * grid.rings[zone]; cell < end; ++cell)
-            if (const Index row = row_of[cell]; row >= 0)
-                out.drop[row] = out.ground_count[row] > 0 && drops[cell] >= seen;
+    for (Index c = 0; c < cells; ++c) {
+        const Index row = row_of[c];
+        if (row < 0) continue;
+        const double seen = static_cast<double>(drop_directions) / static_cast<double>(grid.sectors[out.zone[row]]);
+        out.drop[row] = out.ground_count[row] > 0 && drops[c] >= drop_share * seen;
     }
     for (Index p = 0; p < points.shape[0]; ++p) of.point_sector[p] = s.cell[p] < 0 ? -1 : row_of[s.cell[p]];
     of.origin_height[0] = -wide.height_at_origin();
@@ -722,8 +743,8 @@ void find_classes(Array<const std::uint16_t, 2> place, ClassField field, Array<s
 
 BUMPY_RECORD(bumpy::ScanRule, pixels, least_points, least_normal_z, overhead_m, belly_m, height_m)
 BUMPY_RECORD(
-    bumpy::SectorRows, cell, count, ground_count, obstacle_count, overhead_count, traversable, drop, normal, heights,
-    coverage, variance, residual, obstacle_height, clearance, objects, measures)
+    bumpy::SectorRows, zone, ring, sector, count, ground_count, obstacle_count, overhead_count, traversable, drop,
+    normal, heights, coverage, variance, residual, obstacle_height, clearance, objects, measures)
 BUMPY_RECORD(
     bumpy::PointRows, point_place, point_sector, point_ground, point_airborne, point_height, places, origin_height)
 

@@ -1,8 +1,8 @@
 """From a scan to measured sectors of the concentric-zone polar grid: its ground, and what stands on it.
 
-The ground is a smooth surface, found from small bins around the sensor, so that it is the same wherever sectors lie. The
-origin may be at the sensor, the robot's base or below it, and the frame may lean. A scan that hangs from its ground has
-none: its z axis points down.
+The ground is a smooth surface, found from small bins around the sensor, so that it is the same wherever sectors lie.
+The origin may be at the sensor, the robot's base or below it, and the frame may lean. A scan that hangs from its ground
+has none: its z axis points down.
 
 Sectors are fixed fractions of a turn, so the ground is divided differently when the robot turns by part of a sector.
 Where its heading is known, the grid keeps its directions: sector 0 starts at heading 0. A direction that is found from
@@ -16,15 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, PolarSettings, Scan, SectorStack, cell_numbers, first_cells, loops
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int32]
+from bumpymap.core import BadInputError, PolarSettings, Scan, SectorStack, cell_numbers, loops
 
 PLACE_MEASURES = 7
 """Number of measures of a bin: see sectors.cpp."""
 NEIGHBOURS = 8
-"""Most neighbours of a cell: three inwards, two beside it, three outwards."""
+"""Most neighbours of a cell."""
 _LABELS = 32_768
 """Number of labels that 16 bits with a sign hold."""
 
@@ -32,7 +29,7 @@ _LABELS = 32_768
 class ZoneGrid(NamedTuple):
     """The polar grid, as the loops read it."""
 
-    edges: Floats
+    edges: NDArray[np.float64]
     """(zones + 1,) where zones begin, and the last one ends, m; half-open."""
     sectors: NDArray[np.int64]
     """(zones,) of each zone, as the next."""
@@ -52,48 +49,6 @@ class ZoneGrid(NamedTuple):
         return int(loops.count_bins(self))
 
 
-class CellLayout(NamedTuple):
-    """Where the cells of the grid lie; (cells,) where nothing else is said."""
-
-    distance: Floats
-    """Of the centre, m."""
-    azimuth: Floats
-    """Of the centre, from where sector 0 starts, rad."""
-    near: Integers
-    """(cells, NEIGHBOURS) neighbours: columns 0 to 2 inwards, 3 and 4 beside, 5 to 7 outwards; -1: none."""
-    zone: Integers
-    ring: Integers
-    sector: Integers
-
-
-@cache
-def cell_layout(settings: PolarSettings) -> CellLayout:
-    """Return where the cells lie."""
-    edges = np.array([*settings.zone_starts_m, settings.end_m])
-    sectors, rings = np.array(settings.sectors, np.int32), np.array(settings.rings, np.int32)
-    first = first_cells(settings).astype(np.int32)
-    zone = np.repeat(np.arange(len(sectors), dtype=np.int32), sectors * rings)
-    place = np.arange(len(zone), dtype=np.int32) - first[zone]
-    ring, sector = place // sectors[zone], place % sectors[zone]
-    width = np.diff(edges) / rings
-    distance = edges[zone] + (ring + 0.5) * width[zone]
-    azimuth = (sector + 0.5) / sectors[zone] * (2.0 * math.pi)
-    starts = np.concatenate([first[z] + sectors[z] * np.arange(rings[z]) for z in range(len(sectors))])
-    counts = np.repeat(sectors, rings)
-    line = np.searchsorted(starts, np.arange(len(zone)), side="right") - 1
-    near = np.full((len(zone), NEIGHBOURS), -1, np.int32)
-    near[:, 3] = starts[line] + (sector - 1) % counts[line]
-    near[:, 4] = starts[line] + (sector + 1) % counts[line]
-    for column, step in ((0, -1), (5, 1)):
-        other = line + step
-        there = (other >= 0) & (other < len(starts))
-        to = other[there]
-        opposite = ((sector[there] + 0.5) / counts[line[there]] * counts[to]).astype(np.int64)
-        for k in range(3):
-            near[there, column + k] = starts[to] + (opposite + k - 1) % counts[to]
-    return CellLayout(distance, azimuth, near, zone, ring.astype(np.int32), sector.astype(np.int32))
-
-
 def polar_sectors(scan: Scan, settings: PolarSettings | None = None) -> SectorStack:
     """Cut a scan into sectors, find the ground in those that hold enough points, and measure it.
 
@@ -102,13 +57,12 @@ def polar_sectors(scan: Scan, settings: PolarSettings | None = None) -> SectorSt
     """
     settings = settings or PolarSettings()
     start = -scan.heading_rad % (2.0 * math.pi)
-    grid, layout = ZoneGrid.of(settings, start / (2.0 * math.pi)), cell_layout(settings)
-    azimuth = layout.azimuth + start
-    centres = np.column_stack([layout.distance * np.cos(azimuth), layout.distance * np.sin(azimuth)])
-    size, room, pixels = len(scan.points), len(centres) + 1, (settings.pixels, settings.pixels)
-    integers = ("cell", "count", "ground_count", "obstacle_count", "overhead_count")
+    grid = ZoneGrid.of(settings, start / (2.0 * math.pi))
+    size, room, pixels = len(scan.points), int(grid.sectors @ grid.rings) + 1, (settings.pixels, settings.pixels)
+    integers = ("count", "ground_count", "obstacle_count", "overhead_count")
     floats = ("coverage", "variance", "residual", "obstacle_height", "clearance")
     rows: dict[str, NDArray[Any]] = {
+        **{name: np.empty(room, np.int16) for name in ("zone", "ring", "sector")},
         **{name: np.empty(room, np.int32) for name in integers},
         **{name: np.empty(room, np.float32) for name in floats},
         "traversable": np.empty(room, np.bool_),
@@ -128,16 +82,12 @@ def polar_sectors(scan: Scan, settings: PolarSettings | None = None) -> SectorSt
     }
     height = np.empty(1)
     scene = np.ascontiguousarray(scan.points, np.float32)
-    found = loops.find_sectors(scene, grid, centres, settings, rows, {**points, "origin_height": height})
+    found = loops.find_sectors(scene, grid, settings, rows, {**points, "origin_height": height})
     rows = {name: values[:found] for name, values in rows.items()}
-    cell, traversable = rows.pop("cell"), rows["traversable"]
     return SectorStack(
         settings=settings,
         azimuth_start_rad=start,
-        origin_height=float(height[0]) if traversable.any() else math.nan,
-        zone=layout.zone[cell].astype(np.int16),
-        ring=layout.ring[cell].astype(np.int16),
-        sector=layout.sector[cell].astype(np.int16),
+        origin_height=float(height[0]) if rows["traversable"].any() else math.nan,
         label=_labels(scan, points["point_sector"], found),
         obstacle=np.isfinite(rows["obstacle_height"]) | rows["drop"],
         **rows,
@@ -170,8 +120,25 @@ OPEN_SHARE = 0.55
 
 def open_neighbours(stack: SectorStack) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:
     """Return which sectors are open (n,), and rows of the open ones around each (n, NEIGHBOURS); n where none is."""
-    layout, cell = cell_layout(stack.settings), cell_numbers(stack)
+    near, cell = neighbours(stack.settings), cell_numbers(stack)
     is_open: NDArray[np.bool_] = stack.traversable & (stack.ground_count >= OPEN_SHARE * stack.count)
-    row = np.full(len(layout.zone) + 1, len(cell), np.int32)  # the last one is for neighbours that do not exist
+    row = np.full(len(near) + 1, len(cell), np.int32)  # the last one is for neighbours that do not exist
     row[cell[is_open]] = np.flatnonzero(is_open)
-    return is_open, row[layout.near[cell]]
+    return is_open, row[near[cell]]
+
+
+@cache
+def neighbours(settings: PolarSettings) -> NDArray[np.int64]:
+    """Return the cells around each cell (cells, NEIGHBOURS): three inwards, two beside, three outwards; -1: none."""
+    counts = np.repeat(settings.sectors, settings.rings)  # cells of each ring
+    starts = np.cumsum(counts) - counts
+    line = np.repeat(np.arange(len(counts)), counts)
+    turn = (np.arange(len(line)) - starts[line] + 0.5) / counts[line]
+    near = np.full((len(line), NEIGHBOURS), -1)
+    for column, step, beside in ((0, -1, (-1, 0, 1)), (3, 0, (-1, 1)), (5, 1, (-1, 0, 1))):
+        there = (line + step >= 0) & (line + step < len(counts))
+        to = (line + step)[there]
+        opposite = (turn[there] * counts[to]).astype(int)
+        for k, side in enumerate(beside):
+            near[there, column + k] = starts[to] + (opposite + side) % counts[to]
+    return near

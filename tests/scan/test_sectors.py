@@ -265,7 +265,7 @@ def test_classes_of_points_are_the_same_wherever_sectors_lie(classify):
     points, rng = seen(hilly_street), np.random.default_rng(0)
     before = classify(polar_sectors(Scan(points))).point_class
     noise = (0.005 * rng.standard_normal(points.shape)).astype(np.float32)
-    for changed, most in ((faced(points, 37), 0.035), (faced(points, 0, -1), 0.005), (points + noise, 0.01)):
+    for changed, most in ((faced(points, 37), 0.045), (faced(points, 0, -1), 0.005), (points + noise, 0.01)):
         assert (classify(polar_sectors(Scan(changed))).point_class != before).mean() < most
 
 
