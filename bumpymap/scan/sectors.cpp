@@ -11,7 +11,7 @@
 namespace bumpy {
 namespace {
 
-// What `PolarSettings` says of the grid and of the vehicle.
+// The settings of the grid and of the vehicle, as in `PolarSettings`.
 struct ScanRule {
     Index pixels, least_points;
     double least_normal_z, overhead_m, belly_m, height_m;
@@ -46,8 +46,8 @@ struct PointRows {
 enum BinSum : std::size_t { near, sum, squares, rising, low, standing, over, bin_sums };
 using BinSums = std::array<double, bin_sums>;
 
-// What pulls the plane of a sector to the ground around it: the number of points at the sensor that would lie on it,
-// and their spread, m^2. On one scan line this decides how the ground leans across it (chosen).
+// The pull of the ground around a sector at its plane: the number of points at the sensor that would lie on it, and their
+// spread, m^2. On one scan line this decides how the ground leans across it (chosen).
 constexpr double plane_pull = 1e-3, slope_pull = 0.1;
 
 // Ground points of a cell, or their means by pixel: place, and height over the ground around the cell, m.

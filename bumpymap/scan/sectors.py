@@ -1,4 +1,4 @@
-"""From a scan to measured sectors of the concentric-zone polar grid: its ground, and what stands on it.
+"""From a scan to measured sectors of the concentric-zone polar grid: their ground, and the objects on it.
 
 The ground is a smooth surface, found from small bins around the sensor, so that it is the same wherever sectors lie.
 The origin may be at the sensor, the robot's base or below it, and the frame may lean. A scan that hangs from its ground
