@@ -46,8 +46,8 @@ struct PointRows {
 enum BinSum : std::size_t { near, sum, squares, rising, low, standing, over, bin_sums };
 using BinSums = std::array<double, bin_sums>;
 
-// The pull of the ground around a sector at its plane: the number of points at the sensor that would lie on it, and their
-// spread, m^2. On one scan line this decides how the ground leans across it (chosen).
+// The pull of the ground around a sector at its plane: the number of points at the sensor that would lie on it, and
+// their spread, m^2. On one scan line this decides how the ground leans across it (chosen).
 constexpr double plane_pull = 1e-3, slope_pull = 0.1;
 
 // Ground points of a cell, or their means by pixel: place, and height over the ground around the cell, m.
