@@ -2,7 +2,7 @@
 // drops.
 //
 // Every point is placed once, in blocks that stay in the nearest cache: its cell and pixel on the grid, and its small
-// bin around the sensor; then points lie side by side by cell. The surface of the ground (surface.cpp) and what stands
+// bin around the sensor; then points lie side by side by cell. The surface of the ground (surface.cpp) and the plants
 // in the bins say which points are ground. A sector is measured in few passes through its points. What lies behind an
 // edge is not seen: so the ground is followed outwards, and if what is seen next lies too far below where it should go
 // on, there is an edge in between. Sums are exact, so that the order of the points does not matter. Ours.
@@ -40,9 +40,9 @@ struct PointRows {
     Array<double> origin_height;  // (1,)
 };
 
-// The points of a bin by their height over the surface: number, sum and squares of the heights of those near it, which
-// are ground unless plants rise there; number of those on which plants are seen, of others below the belly, up to the
-// vehicle's height, and above.
+// Sums over the points of a bin: number, sum and squares of the heights of those near the surface, and later of its
+// ground points; number of those that show plants; of other points below the belly, up to the vehicle's height, and
+// above.
 enum BinSum : std::size_t { near, sum, squares, rising, low, standing, over, bin_sums };
 using BinSums = std::array<double, bin_sums>;
 
