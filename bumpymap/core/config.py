@@ -286,8 +286,8 @@ class PolarSettings:
     pixels: Annotated[int, Setting(low=3, high=64)] = 15
     """Rows and columns of a sector's heightmap."""
     least_normal_z: Annotated[float, Setting(low=0.0, high=1.0)] = math.cos(math.radians(45.0))
-    """A sector is traversable if abs(n_z) of its PCA normal is at least this. The default, 45 degrees, is the limit at
-    which published ground segmentation on the same grid treats a sector as a wall."""
+    """A sector is traversable if the n_z of its plane is at least this. The default, 45 degrees, is the limit at which
+    published ground segmentation on the same grid treats a sector as a wall."""
     overhead_m: float = 2.0
     """A sector whose plane passes more than this above the sensor is seen from below: a ceiling or a canopy, not
     ground. The margin allows for frames whose origin is at the robot's base."""

@@ -191,7 +191,7 @@ class SectorStack:
     count: NDArray[np.int32]
     """(n,) points."""
     normal: NDArray[np.float32]
-    """(n, 3) PCA normal (axis of least variance) of the ground points, sensor frame, n_z >= 0; zeros without ground."""
+    """(n, 3) normal of the plane through the ground points, sensor frame, n_z >= 0; zeros without ground."""
     traversable: NDArray[np.bool_]
     """(n,) True if there is ground, its normal is close enough to vertical, and it is not seen from below."""
     heights: NDArray[np.float32]
@@ -202,7 +202,7 @@ class SectorStack:
     variance: NDArray[np.float32]
     """(n,) population variance of z over the ground points, m^2; NaN without ground."""
     residual: NDArray[np.float32]
-    """(n,) mean perpendicular distance of the ground points to the RANSAC plane, m; NaN without ground."""
+    """(n,) mean perpendicular distance of the ground points to that plane, m; NaN without ground."""
     label: NDArray[np.int16]
     """(n,) most frequent label of the points (the smallest if tied); -1 if the scan has no labels."""
     ground_count: NDArray[np.int32]
@@ -227,7 +227,7 @@ class SectorStack:
     """(n, 7) means over the points of what ``places`` say where they are."""
     places: NDArray[np.float32]
     """(bins, 8) measures of small bins around the sensor, and of those about them, wherever sectors lie, and the number
-    of ground points there: see ``scan/ground.cpp``."""
+    of ground points there: see ``scan/sectors.cpp``."""
     point_place: NDArray[np.uint16]
     """(m, 2) place of each point of the scan in those bins, outwards and around, in 256ths of a bin; outwards 65535
     beyond the grid."""
@@ -238,7 +238,7 @@ class SectorStack:
     point_airborne: NDArray[np.bool_]
     """(m,) whether it lies alone, up to twice ``height_m`` above the ground: rain, dust, insects; no obstacle."""
     point_height: NDArray[np.float32]
-    """(m,) height above the ground of its sector, m; NaN where no ground is known."""
+    """(m,) height above the ground, m; NaN where no ground is known."""
 
     def __post_init__(self) -> None:
         count = len(self.zone)

@@ -91,7 +91,7 @@ COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("c_r_high", pa.float32(), "rad/m", "upper end"),
     ("ride_class", pa.int8(), "", "0 (flattest) to 3 (roughest) for the vehicle, as in a survey's map"),
     ("variance", pa.float32(), "m2", "population variance of z over the ground points"),
-    ("residual", pa.float32(), "m", "mean perpendicular distance of the ground points to the RANSAC plane"),
+    ("residual", pa.float32(), "m", "mean perpendicular distance of the ground points to their plane"),
     ("coverage", pa.float32(), "", "share of the pixels of the heightmap that hold a ground point"),
     ("label", pa.int16(), "", "most frequent label of the points; null where the frame has none"),
 )

@@ -18,7 +18,7 @@ from .pipeline import (
     ScanRun as ScanRun,
     scan_frames as scan_frames,
 )
-from .polar import (
+from .sectors import (
     polar_sectors as polar_sectors,
 )
 from .stripes import (

@@ -9,12 +9,12 @@
 #include <cmath>
 #include <limits>
 
-#include "surface.hpp"
+#include "polar.hpp"
 
 namespace bumpy {
 namespace {
 
-// Rays from the sensor through each side of a grid of square cells: at 30 m they are 0.33 m apart; RAYS in cells.py.
+// Rays from the sensor through each side of a grid of square cells, counter-clockwise: at 30 m they are 0.33 m apart.
 constexpr Index side_rays = 180;
 constexpr Index all_rays = 4 * side_rays;
 // Points whose cells are found at once: they stay in the nearest cache.
@@ -73,10 +73,8 @@ struct Returns {
 // ground is seen beneath an object that hides what is on it; the ground drops.
 constexpr std::int32_t unseen = -1, beneath_object = -2, falls = -3;
 
-// Numbers by cell, by ray and by ring while the cells are laid.
+// Numbers by cell, by ray and by ring while the cells are laid: memory that is kept.
 struct Laying {
-    BinRings rings;
-    ClassField field;
     Scratch<std::int32_t> cell;        // (points,) the cell of each; -1 outside
     Scratch<double> count, total;      // (cells,) number of ground points, and the sum of their z, m
     Scratch<std::uint8_t> stands;      // (cells,) whether an obstacle stands there
@@ -84,20 +82,16 @@ struct Laying {
     Scratch<double> level;             // (cells,) elevation of the ground, or the mean around it, m; or NaN
     Scratch<Returns> returns;          // by `slot_of`
     Scratch<std::int32_t> seen;        // (all_rays, half) as above
-    Scratch<std::uint8_t> has_fallen;  // (sectors + 1,) whether the ground drops somewhere in the sector
 
-    Laying(const ClassedPoints& scan, const CellRule& rule, const ZoneGrid& grid, const ClassField& of)
-        : rings(grid),
-          field(of),
-          cell(scan.points.shape[0]),
-          count(rule.side() * rule.side()),
-          total(count.count()),
-          stands(count.count()),
-          has_others(count.count()),
-          level(count.count()),
-          returns(all_rays * rule.half),
-          seen(all_rays * rule.half, unseen),
-          has_fallen(scan.kind.size()) {}
+    void renew_all(Index points, Index half) {
+        const Index cells = 4 * half * half;
+        cell.resize(static_cast<std::size_t>(points));
+        level.resize(static_cast<std::size_t>(cells));
+        for (auto* numbers : {&count, &total}) renew(*numbers, cells);
+        for (auto* flags : {&stands, &has_others}) renew(*flags, cells);
+        renew(returns, all_rays * half);
+        renew(seen, all_rays * half, unseen);
+    }
 };
 
 // Place of a ray and a ring in `Laying::returns`: four rays side by side share a line of the cache.
@@ -296,13 +290,10 @@ class RayFollower {
         const double away = static_cast<double>(ring) + 0.5, from = static_cast<double>(last_) + 0.5;
         const double above = z - level_ - scan_.rise(home_, x_, y_) * way;
         const double under = z - level_ - scan_.rise(-1, x_, y_) * way;  // against the slope of the whole ground
-        const Index home = scan_.row(home_), other = scan_.row(here);
-        const bool drops = scan_.drops[home] || scan_.drops[other];
+        const bool drops = scan_.drops[scan_.row(home_)] || scan_.drops[scan_.row(here)];
         if ((drops ? std::min(above, under) : above) < -rule_.belly && under < -0.5 * rule_.belly) {
-            if (drops) {
-                s_.has_fallen[home] = s_.has_fallen[other] = 1;
+            if (drops)
                 for (Index k = last_; k < ring + (is_object ? 1 : 0); ++k) seen(k) = falls;
-            }
         } else if ((!is_object || above < rule_.height) && z * from / away - level_ < rule_.belly) {
             for (Index k = last_ + 1; k < ring; ++k)
                 if (shadow_ * (static_cast<double>(k) + 0.5) - level_ < rule_.belly)
@@ -343,11 +334,41 @@ class RayFollower {
 
 // ---- Cells ----
 
+// The place of a cell in bins, outwards and around; the first and the last ray through it, and its ring: those hold the
+// cells of one distance along x or y.
+struct CellPlace {
+    std::int32_t outwards, around, first, last, ring;
+};
+
+// Finds the places of the cells of a row, without a branch: several at once.
+void find_row(Index row, const BinRings& rings, const CellRule& rule, Scratch<CellPlace>& out) {
+    const double up = static_cast<double>(row) + 0.5, half = static_cast<double>(rule.half), y = up - half;
+    for (Index column = 0; column < out.count(); ++column) {
+        const double right = static_cast<double>(column) + 0.5, x = right - half;
+        const auto axis = [&](Index k) {
+            return rule.to_sensor(k, 0) * right + rule.to_sensor(k, 1) * up + rule.to_sensor(k, 2);
+        };
+        const double east = axis(0), north = axis(1), turn = full_turn(turn_of(east, north));
+        const bool ahead = std::abs(x) >= std::abs(y);
+        const double lead = ahead ? x : y, beside = ahead ? y : -x, far = std::abs(lead);
+        const double across = lead > 0.0 ? beside : -beside;
+        const auto ray = [&](double edge) {
+            const double place = ((across + edge) / far + 1.0) * (0.5 * side_rays);
+            return static_cast<std::int32_t>(std::clamp(place, 0.0, static_cast<double>(side_rays)));
+        };
+        const std::int32_t first = ray(-0.5), begin = side_rays * ((lead > 0.0 ? 0 : 2) + (ahead ? 0 : 1));
+        out[column] = {
+            rings.parts(east * east + north * north),
+            static_cast<std::int32_t>(turn * static_cast<double>(bin_columns * bin_parts)), begin + first,
+            begin + std::max(ray(0.5) - 1, first), static_cast<std::int32_t>(far)};
+    }
+}
+
 // Finds the kind of a cell, and the sector whose ground is known there.
 void judge_cell(
-    Index cell, const ClassedPoints& scan, const CellRule& rule, Array<const std::int32_t, 2> rays,
+    Index cell, const CellPlace& place, const ClassField& field, const ClassedPoints& scan, const CellRule& rule,
     const SquareCells& out, const Laying& s) {
-    const Index first = rays(cell, 0), last = rays(cell, 1), ring = rays(cell, 2);
+    const auto [outwards, around, first, last, ring] = place;
     Index seen = 0, beneath = 0;
     bool drops = false;
     std::int32_t home = -1;
@@ -362,20 +383,13 @@ void judge_cell(
     if (out.sector[cell] < 0 && 2 * seen > last - first) out.sector[cell] = home;
     if (beneath > seen) out.sector[cell] = -1;
     const Index of = scan.row(out.sector[cell]);
-    drops |= scan.drops[of] && s.has_fallen[of] == 0;
-    const bool stops = s.stands[cell] != 0 || drops || out.step[cell] > rule.belly;
     const auto barred = static_cast<std::uint8_t>(scan.kind[scan.row(-1)] - 1);
-    std::uint8_t class_id = scan.class_id[of], kind = stops ? barred : scan.kind[of];
+    const bool stops = s.stands[cell] != 0 || drops || out.step[cell] > rule.belly;
+    const std::uint8_t kind = stops ? barred : scan.kind[of];
+    std::uint8_t class_id = scan.class_id[of];
     if (class_id < barred) {
-        const double column = static_cast<double>(cell % rule.side()) + 0.5;
-        const double row = static_cast<double>(cell / rule.side()) + 0.5;
-        const auto axis = [&](Index k) {
-            return rule.to_sensor(k, 0) * column + rule.to_sensor(k, 1) * row + rule.to_sensor(k, 2);
-        };
-        const double x = axis(0), y = axis(1), turn = full_turn(turn_of(x, y));
-        const auto around = static_cast<std::int32_t>(turn * static_cast<double>(bin_columns * bin_parts));
-        const std::uint8_t found = s.field.at(s.rings.parts(x * x + y * y), around);
-        if (found != s.field.unknown) class_id = found;
+        const std::uint8_t found = field.at(outwards, around);
+        if (found != field.unknown) class_id = found;
     }
     out.class_id[cell] = class_id;
     out.kind[cell] = kind < barred ? class_id : kind;
@@ -383,10 +397,9 @@ void judge_cell(
 
 // Finds the ground of every cell, the objects on it and over it, and its kind. `out` comes as it is without a
 // point: heights NaN, rows -1.
-void lay_cells(
-    ClassedPoints scan, ZoneGrid grid, ClassField field, CellRule rule, Array<const std::int32_t, 2> rays,
-    SquareCells out) {
-    Laying s(scan, rule, grid, field);
+void lay_cells(ClassedPoints scan, ZoneGrid grid, ClassField field, CellRule rule, SquareCells out) {
+    Laying& s = kept_memory<Laying>();
+    s.renew_all(scan.points.shape[0], rule.half);
     sort_into_cells(scan, rule, out, s);
     level_cells(rule, out, s);
     stand_objects(scan, rule, out, s);
@@ -396,7 +409,13 @@ void lay_cells(
         const bool along_x = ray / side_rays % 2 == 0;
         RayFollower(ray, along_x ? ahead : -ahead * across, along_x ? ahead * across : ahead, scan, rule, s).follow();
     }
-    for (Index cell = 0; cell < out.kind.size(); ++cell) judge_cell(cell, scan, rule, rays, out, s);
+    const BinRings rings(grid);
+    Scratch<CellPlace> places(rule.side());
+    for (Index cell = 0; cell < out.kind.size(); ++cell) {
+        const Index column = cell % rule.side();
+        if (column == 0) find_row(cell / rule.side(), rings, rule, places);
+        judge_cell(cell, places[column], field, scan, rule, out, s);
+    }
 }
 
 }  // namespace

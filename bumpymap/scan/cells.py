@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,8 +9,8 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CLASSES, FAIL_SHARE, NOT_TRAVERSABLE, ClassedSectors, GridSettings, GroundGrid, loops
 from bumpymap.scan.align import judge_by_view
-from bumpymap.scan.ground import ZoneGrid, median
 from bumpymap.scan.places import class_field
+from bumpymap.scan.sectors import ZoneGrid
 
 _OCCUPANCY = np.array([0, 33, 66, 100, -1], np.int8)
 """Occupancy of ground of class 0 (smooth), 1 (fair) and 2 (rough), of what is not traversable, and of the unknown."""
@@ -19,11 +18,6 @@ _MOST_COST = 98
 """Occupancy of ground from the upper limit of C_r on: Nav2 takes 99 for the edge of an obstacle."""
 _BENEATH_M = 2.0
 """Depth behind the side of an object in which ground seen beneath it is not known to be free, m: half a car."""
-
-
-RAYS = 180
-"""Rays from the sensor through each side of a grid of square cells: at 30 m they are 0.33 m apart; also in
-cells.cpp."""
 
 
 class SeenCells(NamedTuple):
@@ -88,7 +82,7 @@ def see_cells(
     level = np.flatnonzero(stack.traversable)
     slope[level] = -normal[level, :2] / normal[level, 2:]
     if len(level):
-        slope[-1] = median(slope[level])
+        slope[-1] = np.median(slope[level], axis=0)
     layers = np.full((6, cells), np.nan, np.float32)
     kind, class_id, sector = *np.empty((2, cells), np.uint8), np.full(cells, -1, np.int32)
     names = ("elevation", "step", "top", "clearance", "tip")
@@ -112,7 +106,7 @@ def see_cells(
         "beneath": round(_BENEATH_M / cell_m),
         "to_sensor": np.column_stack([cell_m * back, back @ (-half * cell_m - shift)]),
     }
-    loops.lay_cells(scan, ZoneGrid.of(stack.settings), class_field(classed.field), rule, _rays_of(half), out)
+    loops.lay_cells(scan, ZoneGrid.of(stack.settings), class_field(classed.field), rule, out)
     if classed.ride is not None:
         layers[-1] = c_r[sector]
     return SeenCells(
@@ -127,24 +121,6 @@ def see_cells(
 def _cell_of(pose: NDArray[np.float64], cell_m: float) -> NDArray[np.int64]:
     """Return the corner of cells, in whole cells along x and y, that is nearest to the place of a pose (4, 4)."""
     return np.round(pose[:2, 3] / cell_m).astype(np.int64)
-
-
-@lru_cache(maxsize=1)
-def _rays_of(half: int) -> NDArray[np.int32]:
-    """Return the first and the last ray through every cell, and its ring, (cells, 3).
-
-    Rays go from the sensor, counter-clockwise; a ring holds the cells of one distance along x or y.
-    """
-    centre = np.arange(2 * half) + 0.5 - half
-    x, y = np.tile(centre, 2 * half), np.repeat(centre, 2 * half)
-    ahead = np.abs(x) >= np.abs(y)
-    far = np.where(ahead, np.abs(x), np.abs(y))
-    across = np.where(ahead, np.where(x > 0.0, y, -y), np.where(y > 0.0, -x, x))
-    first, end = (
-        np.clip(((across + edge) / far + 1.0) * (0.5 * RAYS), 0, RAYS).astype(np.int32) for edge in (-0.5, 0.5)
-    )
-    begin = np.where(ahead, np.where(x > 0.0, 0, 2), np.where(y > 0.0, 1, 3)) * RAYS
-    return np.column_stack([begin + first, begin + np.maximum(end - 1, first), far]).astype(np.int32)
 
 
 def _overlap(move: NDArray[np.int64], side: int) -> tuple[Any, Any]:

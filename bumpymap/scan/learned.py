@@ -29,8 +29,8 @@ from bumpymap.core import (
     session,
     shipped_network,
 )
-from bumpymap.scan.ground import open_neighbours
 from bumpymap.scan.places import with_places
+from bumpymap.scan.sectors import open_neighbours
 
 SECTOR_VERSION = 3
 """Version of ``network_input``. After a change networks must be trained again."""
@@ -187,7 +187,7 @@ def classify_learned(stack: SectorStack, model: ScanModel | None = None) -> Clas
     probability = _with_neighbours(stack, probabilities(stack, model or ScanModel.shipped()))
     class_id = np.full(len(stack.zone), NOT_TRAVERSABLE, np.uint8)
     class_id[stack.traversable] = probability[stack.traversable].argmax(axis=1)
-    return with_places(stack, class_id, None, "learned", probability)
+    return with_places(stack, class_id, None, "learned", probability, probability.max(axis=1))
 
 
 def _with_neighbours(stack: SectorStack, probability: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -48,9 +48,8 @@ from bumpymap.rating import (
     thin_columns,
 )
 from bumpymap.scan.config import ScanConfig
-from bumpymap.scan.ground import SectorBuffers
 from bumpymap.scan.learned import ScanModel, classify_learned
-from bumpymap.scan.polar import polar_sectors
+from bumpymap.scan.sectors import polar_sectors
 from bumpymap.scan.stripes import classify_filter, load_stripes
 from bumpytiles import Grid, TilePoints, group_points, join_tiles, sort_block
 
@@ -210,8 +209,7 @@ def choose_method(config: ScanConfig) -> Method:
     name another belly or height. Raises BadInputError: the network, the stripe classes or
     the calibration of the vehicle cannot be read.
     """
-    polar, buffers = config.polar, SectorBuffers()
-    calibration, rater = None, None
+    polar, calibration, rater = config.polar, None, None
     if config.vehicle is not None or config.calibration is not None:
         calibration = find_calibration(config.vehicle or "", config.calibration)
         rater = SectorRater(calibration)
@@ -239,7 +237,7 @@ def choose_method(config: ScanConfig) -> Method:
         classify = partial(classify_filter, model=stripes)
 
     def classed(scan: Scan) -> ClassedSectors:
-        found = classify(polar_sectors(scan, polar, buffers))
+        found = classify(polar_sectors(scan, polar))
         return found if rater is None else replace(found, ride=rater(scan, found.sectors))
 
     return Method("filter" if network is None else "learned", basis, classed, calibration)

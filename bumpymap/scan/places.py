@@ -17,6 +17,8 @@ _PULL = 10.0
 """Sectors that would say the mean of all, whatever is measured there: where few were measured, they decide (chosen)."""
 _LEAST_SPREAD = 0.02
 """Spread of a measure over the sectors that means nothing (chosen)."""
+_AT_ONCE = 128
+"""Bins of one matrix product: those of a ring."""
 _LEAST_GROUND = 0.004
 """Least weight of the ground points about a place whose ground is known: of one that is two bins away (chosen)."""
 
@@ -26,17 +28,21 @@ def with_places(
     class_id: NDArray[np.uint8],
     stripes: NDArray[np.float32] | None,
     method: ScanMethod,
-    probability: NDArray[np.float32] | None = None,
+    says: NDArray[np.floating],
+    confidence: NDArray[np.float32] | None = None,
 ) -> ClassedSectors:
-    """Return classified sectors with the classes of all places; ``probability`` (n, CLASSES): of the classes."""
+    """Return classified sectors with the classes of all places; ``says`` (n, CLASSES): share of each class in them."""
     known = np.flatnonzero(stack.traversable)
     field = np.zeros((len(stack.places), CLASSES + 1), np.float32)
     if len(known):
-        says = np.eye(CLASSES)[class_id[known]] if probability is None else probability[known]
-        loops.spread_classes(stack.places, _fit(stack.measures[known], says, np.sqrt(stack.count[known])), field)
+        slopes = _fit(stack.measures[known], says[known], np.sqrt(stack.count[known])).astype(np.float32)
+        linear = np.zeros((stack.places.shape[1], CLASSES + 1), np.float32)
+        linear[:-1, :-1], linear[-1, -1] = slopes[:-1], 1.0
+        # In parts: for a larger product the library would start threads.
+        field = (stack.places.reshape(-1, _AT_ONCE, len(linear)) @ linear).reshape(field.shape)
+        field[:, :-1] += slopes[-1]
     point_class = np.empty(len(stack.point_place), np.uint8)
     loops.find_classes(stack.point_place, class_field(field), point_class)
-    confidence = None if probability is None else probability.max(axis=1)
     return ClassedSectors(stack, class_id, stripes, method, field, point_class, confidence)
 
 

@@ -1,11 +1,14 @@
-// Shared by the loops over a scan: the polar grid, the points by cell, sums in any order, the angle of a direction. The
-// records are explained in ground.py.
+// Shared by the loops over a scan: sums in any order, the angle of a direction, the small bins around the sensor.
+// Records are explained in sectors.py.
 #pragma once
 
 #include <algorithm>
+#include <array>
+#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <memory>
 #include <numbers>
 #include <vector>
 
@@ -25,6 +28,13 @@ struct Scratch : std::vector<T> {
     const T& operator[](Index i) const { return std::vector<T>::operator[](static_cast<std::size_t>(i)); }
 };
 
+// Memory that each thread keeps from scan to scan. By a pointer: else compilers ask for its address again and again.
+template <class T>
+T& kept_memory() {
+    thread_local const auto memory = std::make_unique<T>();
+    return *memory;
+}
+
 // Fills memory that is kept from scan to scan, so that the system need not give it anew.
 template <class T>
 void renew(Scratch<T>& kept, Index size, T value = {}) {
@@ -35,17 +45,9 @@ struct ZoneGrid {
     Array<const double> edges;
     Array<const Index> sectors, rings;
     double start;
-    Index pixels;
 };
 
-struct CellPoints {
-    Array<Index> starts;
-    Array<std::int32_t> order;
-    Array<float, 2> xyz;
-    Array<std::int32_t> pixel, bin;
-};
-
-// The place in bins (surface.hpp) of a point outside of the grid.
+// The place in bins of a point outside of the grid.
 constexpr std::uint16_t no_place = 65535;
 
 // A number rounded to a multiple of 2^-28: sums of such terms are exact below 2^25, so that the order of the points of
@@ -82,7 +84,79 @@ inline double full_turn(double turn) {
     return turn < 1.0 ? turn : 0.0;
 }
 
+// Columns of bins around the sensor, and rings of bins while the distance doubles: bins are as long as they are wide.
+constexpr Index bin_columns = 128, octave_rings = 16;
+// Places in bins are counted in parts of one.
+constexpr std::int32_t bin_parts = 256;
+
+// The rings of bins, which grow outwards: by the leading bits of the squared distance as a float, which are nearly its
+// logarithm.
+struct BinRings {
+    static constexpr double nearest = 0.25;  // nearer points are in the first ring, m
+    static constexpr int shift = 20;         // leaves the exponent and three bits of the fraction
+
+    std::int32_t first;
+    Index count;
+
+    explicit BinRings(const ZoneGrid& grid) : first(bits(square(std::max(grid.edges[0], nearest))) >> shift) {
+        const double end = std::max(grid.edges[grid.sectors.size()], nearest);
+        count = of(square(end)) + 1;
+    }
+
+    static double square(double x) { return x * x; }
+    static std::int32_t bits(double r2) { return std::bit_cast<std::int32_t>(static_cast<float>(r2)); }
+
+    std::int32_t of(double r2) const { return std::max((bits(r2) >> shift) - first, 0); }
+
+    // The place between rings of a squared distance, as a number and in `bin_parts`; and the distance [m] of a place.
+    double place(double r2) const { return (bits(r2) - (first << shift)) / static_cast<double>(1 << shift); }
+    std::int32_t parts(double r2) const {
+        return std::max(bits(r2) - (first << shift), 0) / ((1 << shift) / bin_parts);
+    }
+    double distance(double place) const {
+        const auto whole = static_cast<std::int32_t>(std::max(place, 0.0) * (1 << shift)) + (first << shift);
+        return std::sqrt(static_cast<double>(std::bit_cast<float>(whole)));
+    }
+};
+
+// Calls `act` with each bin within `wide` of another one, in rings that exist; stops where it returns false.
+template <class Act>
+void around_bin(Index bin, Index wide, Index rings, Act act) {
+    const Index ring = bin / bin_columns, column = bin % bin_columns;
+    for (Index r = std::max(ring - wide, Index{0}); r <= std::min(ring + wide, rings - 1); ++r)
+        for (Index c = column - wide; c <= column + wide; ++c)
+            if ((r != ring || c != column) && !act(r * bin_columns + ((c + bin_columns) % bin_columns))) return;
+}
+
+// Classes of the ground in the bins of a frame (places.py).
+struct ClassField {
+    Array<const float, 2> says;  // (bins, classes + 1) a number for each class, and the ground points about the bin
+    double least;                // of these points, where the ground is known
+    std::uint8_t unknown;        // the class elsewhere
+
+    // The class with the highest number at a place in parts of a bin, between the middles of bins.
+    std::uint8_t at(std::int32_t outwards, std::int32_t around) const {
+        constexpr std::size_t columns = 4;  // three classes, and the points
+        const std::int32_t from = std::max(outwards - bin_parts / 2, 0);
+        const auto turn = static_cast<std::int32_t>(around + bin_columns * bin_parts - bin_parts / 2);
+        const Index ring = from / bin_parts, left = turn / bin_parts % bin_columns, right = (left + 1) % bin_columns;
+        const float* near = &says(ring * bin_columns, 0);
+        const float* far = &says(std::min((ring + 1) * bin_columns, says.shape[0] - bin_columns), 0);
+        const auto out = static_cast<float>(from % bin_parts) * (1.0F / bin_parts);
+        const auto across = static_cast<float>(turn % bin_parts) * (1.0F / bin_parts);
+        std::array<float, columns> found;
+        for (std::size_t k = 0; k < columns; ++k) {
+            const auto a = left * Index{columns} + static_cast<Index>(k),
+                       b = right * Index{columns} + static_cast<Index>(k);
+            const float inner = near[a] + across * (near[b] - near[a]), outer = far[a] + across * (far[b] - far[a]);
+            found[k] = inner + out * (outer - inner);
+        }
+        if (found[3] < least) return unknown;
+        return static_cast<std::uint8_t>(std::max_element(found.begin(), found.begin() + 3) - found.begin());
+    }
+};
+
 }  // namespace bumpy
 
-BUMPY_RECORD(bumpy::ZoneGrid, edges, sectors, rings, start, pixels)
-BUMPY_RECORD(bumpy::CellPoints, starts, order, xyz, pixel, bin)
+BUMPY_RECORD(bumpy::ZoneGrid, edges, sectors, rings, start)
+BUMPY_RECORD(bumpy::ClassField, says, least, unknown)

@@ -24,9 +24,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors, PolarSettings, SectorStack, UsageError, parse_json
-from bumpymap.scan.ground import OPEN_SHARE
+from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, PolarSettings, SectorStack, UsageError, parse_json
 from bumpymap.scan.places import with_places
+from bumpymap.scan.sectors import OPEN_SHARE
 
 _BLOCKED_SHARE = 0.45
 """Least share of obstacles among the points that are not ground, of a sector that is not open, for class 2 (chosen)."""
@@ -136,7 +136,10 @@ def classify_filter(stack: SectorStack, model: StripeModel | None = None) -> Cla
     is_blocked = is_covered & (stack.obstacle_count >= _BLOCKED_SHARE * standing)
     rougher = np.maximum(nearest, is_covered.astype(np.uint8) + is_blocked.astype(np.uint8))
     class_id = np.where(stack.traversable, rougher, np.uint8(NOT_TRAVERSABLE))
-    return with_places(stack, class_id, stripes, "filter")
+    # Between two centres a sector says part of each class, so that a small change of its stripes changes little.
+    between, classes = np.interp(-stripes, -np.array(model.centres), np.arange(CLASSES)), np.arange(CLASSES)
+    says = np.maximum(1.0 - np.abs(np.where(rougher > nearest, rougher, between)[:, None] - classes), 0.0)
+    return with_places(stack, class_id, stripes, "filter", says)
 
 
 @cache

@@ -1,84 +1,16 @@
 // The ground of a scan as a smooth surface over small bins around the sensor, see surface.cpp.
 #pragma once
 
-#include <array>
-#include <bit>
-
 #include "polar.hpp"
 
 namespace bumpy {
 
-// Columns of bins around the sensor, and rings of bins while the distance doubles: bins are as long as they are wide.
-constexpr Index bin_columns = 128, octave_rings = 16;
-// Places in bins are counted in parts of one.
-constexpr std::int32_t bin_parts = 256;
-
-// The rings of bins, which grow outwards: by the leading bits of the squared distance as a float, which are nearly its
-// logarithm.
-struct BinRings {
-    static constexpr double nearest = 0.25;  // nearer points are in the first ring, m
-    static constexpr int shift = 20;         // leaves the exponent and three bits of the fraction
-
-    std::int32_t first;
-    Index count;
-
-    explicit BinRings(const ZoneGrid& grid) : first(bits(square(std::max(grid.edges[0], nearest))) >> shift) {
-        const double end = std::max(grid.edges[grid.sectors.size()], nearest);
-        count = of(square(end)) + 1;
-    }
-
-    static double square(double x) { return x * x; }
-    static std::int32_t bits(double r2) { return std::bit_cast<std::int32_t>(static_cast<float>(r2)); }
-
-    std::int32_t of(double r2) const { return std::max((bits(r2) >> shift) - first, 0); }
-
-    // The place between rings of a squared distance, as a number and in `bin_parts`; and the distance [m] of a place.
-    double place(double r2) const { return (bits(r2) - (first << shift)) / static_cast<double>(1 << shift); }
-    std::int32_t parts(double r2) const {
-        return std::max(bits(r2) - (first << shift), 0) / ((1 << shift) / bin_parts);
-    }
-    double distance(double place) const {
-        const auto whole = static_cast<std::int32_t>(std::max(place, 0.0) * (1 << shift)) + (first << shift);
-        return std::sqrt(static_cast<double>(std::bit_cast<float>(whole)));
-    }
+// A point on the polar grid.
+struct PlacedPoint {
+    float x, y, z;                    // m
+    std::int32_t number, pixel, bin;  // in the scan; `row * pixels + column` in its cell; small bin that it lies in
 };
-
-// Calls `act` with each bin within `wide` of another one, in rings that exist; stops where it returns false.
-template <class Act>
-void around_bin(Index bin, Index wide, Index rings, Act act) {
-    const Index ring = bin / bin_columns, column = bin % bin_columns;
-    for (Index r = std::max(ring - wide, Index{0}); r <= std::min(ring + wide, rings - 1); ++r)
-        for (Index c = column - wide; c <= column + wide; ++c)
-            if ((r != ring || c != column) && !act(r * bin_columns + ((c + bin_columns) % bin_columns))) return;
-}
-
-// Classes of the ground in the bins of a frame (places.py).
-struct ClassField {
-    Array<const float, 2> says;  // (bins, classes + 1) a number for each class, and the ground points about the bin
-    double least;                // of these points, where the ground is known
-    std::uint8_t unknown;        // the class elsewhere
-
-    // The class with the highest number at a place in parts of a bin, between the middles of bins.
-    std::uint8_t at(std::int32_t outwards, std::int32_t around) const {
-        constexpr std::size_t columns = 4;  // three classes, and the points
-        const std::int32_t from = std::max(outwards - bin_parts / 2, 0);
-        const auto turn = static_cast<std::int32_t>(around + bin_columns * bin_parts - bin_parts / 2);
-        const Index ring = from / bin_parts, left = turn / bin_parts % bin_columns, right = (left + 1) % bin_columns;
-        const float* near = &says(ring * bin_columns, 0);
-        const float* far = &says(std::min((ring + 1) * bin_columns, says.shape[0] - bin_columns), 0);
-        const auto out = static_cast<float>(from % bin_parts) * (1.0F / bin_parts);
-        const auto across = static_cast<float>(turn % bin_parts) * (1.0F / bin_parts);
-        std::array<float, columns> found;
-        for (std::size_t k = 0; k < columns; ++k) {
-            const auto a = left * Index{columns} + static_cast<Index>(k),
-                       b = right * Index{columns} + static_cast<Index>(k);
-            const float inner = near[a] + across * (near[b] - near[a]), outer = far[a] + across * (far[b] - far[a]);
-            found[k] = inner + out * (outer - inner);
-        }
-        if (found[3] < least) return unknown;
-        return static_cast<std::uint8_t>(std::max_element(found.begin(), found.begin() + 3) - found.begin());
-    }
-};
+using PlacedPoints = Scratch<PlacedPoint>;
 
 // A plane by its slope along x and y, and its height at the origin, m.
 struct Tilt {
@@ -86,6 +18,34 @@ struct Tilt {
 
     double height(double x, double y) const { return a * x + b * y + c; }
     double above(double x, double y, double z) const { return z - height(x, y); }
+};
+
+// Weighted sums of a fit of heights over a place; exact, in any order.
+struct Sums {
+    double n = 0.0, x = 0.0, y = 0.0, xx = 0.0, xy = 0.0, yy = 0.0, h = 0.0, xh = 0.0, yh = 0.0;
+
+    void add(double weight, double u, double v, double height) {
+        const double wu = weight * u, wv = weight * v;
+        n += exact(weight);
+        x += exact(wu);
+        y += exact(wv);
+        xx += exact(wu * u);
+        xy += exact(wu * v);
+        yy += exact(wv * v);
+        h += exact(weight * height);
+        xh += exact(wu * height);
+        yh += exact(wv * height);
+    }
+
+    // The plane of least squares, pulled to zero with the weight of some points there and a metre from it.
+    Tilt solve(double at, double slope) const {
+        const double nn = n + at, uu = xx + slope, vv = yy + slope;
+        const double xu = uu - x * x / nn, xv = xy - x * y / nn, yv = vv - y * y / nn;
+        const double hu = xh - x * h / nn, hv = yh - y * h / nn;
+        const double det = xu * yv - xv * xv;
+        const double a = (hu * yv - hv * xv) / det, b = (hv * xu - hu * xv) / det;
+        return {a, b, (h - a * x - b * y) / nn};
+    }
 };
 
 // The layers of the bins that have one, inwards first: their lowest points, which may be ground.
@@ -102,29 +62,10 @@ struct Layers {
     }
 };
 
-// Unit vectors in equal steps of a turn, without a call to a library whose last bit differs between machines.
-template <std::size_t Count>
-std::array<std::array<double, 2>, Count> directions() {
-    std::array<std::array<double, 2>, Count> out{};
-    const std::size_t quarter = Count / 4;
-    out[0] = {1.0, 0.0};
-    out[quarter] = {0.0, 1.0};
-    for (std::size_t step = quarter; step > 1; step /= 2) {
-        for (std::size_t k = 0; k < quarter; k += step) {
-            const auto [ax, ay] = out[k];
-            const auto [bx, by] = out[k + step];
-            const double length = std::sqrt((ax + bx) * (ax + bx) + (ay + by) * (ay + by));
-            out[k + step / 2] = {(ax + bx) / length, (ay + by) / length};
-        }
-    }
-    for (std::size_t k = quarter; k < Count; ++k) out[k] = {-out[k - quarter][1], out[k - quarter][0]};
-    return out;
-}
-
-// The four windows around a place, their weights there, and how these grow with bins outwards and around.
+// The four windows around a place, and their weights there.
 struct Windows {
     std::array<Index, 4> number;
-    std::array<double, 4> weight, outwards, across;
+    std::array<double, 4> weight;
 };
 
 // A level of the surface: a plane for each of its overlapping windows.
@@ -147,9 +88,7 @@ class Level {
         const double near = 1.0 - far, left_of = 1.0 - right;
         return {
             {begin + a, begin + b, begin + columns_ + a, begin + columns_ + b},
-            {near * left_of, near * right, far * left_of, far * right},
-            {-left_of / size, -right / size, left_of / size, right / size},
-            {-near / size, near / size, -far / size, far / size}};
+            {near * left_of, near * right, far * left_of, far * right}};
     }
 
     // The middle of a window in bins outwards and around.
@@ -161,12 +100,13 @@ class Level {
 
     // The same in m.
     std::array<double, 2> centre(Index window, const BinRings& rings) const {
-        static const auto turns = directions<2 * bin_columns>();
         const auto [ring, column] = middle(window);
-        const auto [x, y] = turns[static_cast<std::size_t>(2.0 * column)];
-        const double r = rings.distance(ring);
-        return {r * x, r * y};
+        const double r = rings.distance(ring), turn = column * (2.0 * std::numbers::pi / bin_columns);
+        return {r * std::cos(turn), r * std::sin(turn)};
     }
+
+    // The plane around a place in bins outwards and around.
+    Tilt at(double ring, double column) const { return blend(around(ring, column)); }
 
     Tilt blend(const Windows& at) const {
         Tilt out;
@@ -179,23 +119,11 @@ class Level {
         return out;
     }
 
-    // The plane that touches the surface at a place, m, in bins outwards and around.
-    Tilt touch(double x, double y, double ring, double column) const {
-        const Windows at = around(ring, column);
-        Tilt out = blend(at);
-        const double square = x * x + y * y, height = out.height(x, y);
-        double outwards = 0.0, across = 0.0;
-        for (std::size_t k = 0; k < 4; ++k) {
-            const double own = planes[at.number[k]].height(x, y);
-            outwards += at.outwards[k] * own;
-            across += at.across[k] * own;
-        }
-        outwards *= octave_rings / (std::numbers::ln2 * std::max(square, 1e-6));
-        across *= bin_columns / (2.0 * std::numbers::pi * std::max(square, 1e-6));
-        out.a += outwards * x - across * y;
-        out.b += outwards * y + across * x;
-        out.c = height - out.a * x - out.b * y;
-        return out;
+    // The height of the nearest ground at the origin, m: the mean of its windows'.
+    double height_at_origin() const {
+        double sum = 0.0;
+        for (Index k = columns_; k < 2 * columns_; ++k) sum += planes[k].c;
+        return sum / static_cast<double>(columns_);
     }
 
     Scratch<Tilt> planes;
@@ -211,8 +139,6 @@ struct Surface {
     std::vector<Level> levels;  // the widest windows first; the last is the surface, the first shows how it slopes
 };
 
-Surface find_surface(const CellPoints& points, const BinRings& rings);
+Surface find_surface(const PlacedPoints& points, const BinRings& rings);
 
 }  // namespace bumpy
-
-BUMPY_RECORD(bumpy::ClassField, says, least, unknown)

@@ -11,13 +11,14 @@
 
 // Bindings are not built, so that Python need not be linked.
 static void bind_align(nb::module_&), bind_grouping(nb::module_&), bind_las(nb::module_&);
-static void bind_point_stats(nb::module_&), bind_polar(nb::module_&);
+static void bind_point_stats(nb::module_&), bind_sectors(nb::module_&);
 
 #include "bumpymap/readers/las.cpp"
 #include "bumpymap/scan/align.cpp"
 #define LinedPoints StatPoints  // las.cpp has its own
 #include "bumpymap/readers/point_stats.cpp"
-#include "bumpymap/scan/polar.cpp"
+#include "bumpymap/scan/sectors.cpp"
+#include "bumpymap/scan/surface.cpp"
 #include "tiles/bumpytiles/grouping.cpp"
 
 using namespace bumpy;
@@ -89,22 +90,43 @@ void fuzz_frame(Bytes bytes) {
     const auto values = take<float>(bytes, 3 * n);
     const Array<const float, 2> points{values.data(), {n, 3}};
     const Column<double> edges{0.5, 4.0, 20.0};
-    const Column<Index> sectors{4, 8}, rings{2, 3}, cells{0, 1, 2, 8, 9, 31};
-    Column<Index> starts(34);
-    Column<std::int32_t> cell(n), order(n), pixel(n), bin(n);
-    Column<float> xyz(3 * n), normal(18), heights(96);
-    const CellPoints placed{starts, order, {xyz.data(), {3, n}}, pixel, bin};
-    place_points(points, {edges, sectors, rings, 0.25, 4}, cell, placed);
-    Column<Index> filled;
-    for (const Index c : cells)
-        if (starts[static_cast<std::size_t>(c)] + 3 <= starts[static_cast<std::size_t>(c) + 1]) filled.push_back(c);
-    const std::vector<std::uint8_t> ground(static_cast<std::size_t>(n), 1);
-    const Array<const bool> is_ground{reinterpret_cast<const bool*>(ground.data()), {n}};
-    Column<double> scalars(36);
-    const Index found = std::ssize(filled);
-    measure_sectors(
-        placed, is_ground, filled, 0.1, {scalars.data(), {found, 6}}, {normal.data(), {found, 3}},
-        {heights.data(), {found, 4, 4}});
+    const Column<Index> sectors{4, 8}, rings{2, 3};
+    const ZoneGrid grid{edges, sectors, rings, 0.25};
+    const Index room = 33, bins = count_bins(grid);
+    Column<double> centres(2 * room, 1.0), measures(7 * room), origin(1);
+    Column<std::int32_t> cell(room), count(room), ground(room), obstacles(room), overhead(room), sector(n);
+    Column<float> normal(3 * room), heights(16 * room), objects(32 * room), places(8 * bins), height(n);
+    Column<float> coverage(room), variance(room), residual(room), top(room), clearance(room);
+    Column<std::uint16_t> place(2 * n);
+    std::vector<std::uint8_t> flags(static_cast<std::size_t>(2 * room + 2 * n));
+    const auto flag = [&](Index begin, Index size) {
+        return Array<bool>{reinterpret_cast<bool*>(flags.data()) + begin, {size}};
+    };
+    find_sectors(
+        points, grid, {centres.data(), {room - 1, 2}}, {4, 5, 0.7, 2.0, 0.25, 1.4},
+        {cell,
+         count,
+         ground,
+         obstacles,
+         overhead,
+         flag(0, room),
+         flag(room, room),
+         {normal.data(), {room, 3}},
+         {heights.data(), {room, 4, 4}},
+         coverage,
+         variance,
+         residual,
+         top,
+         clearance,
+         {objects.data(), {room, 2, 4, 4}},
+         {measures.data(), {room, 7}}},
+        {{place.data(), {n, 2}},
+         sector,
+         flag(2 * room, n),
+         flag(2 * room + n, n),
+         height,
+         {places.data(), {bins, 8}},
+         origin});
     Column<std::uint16_t> image(16 * 64);
     range_image(points, -0.1, {image.data(), {16, 64}});
 }

@@ -25,9 +25,9 @@ from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.rating import find_calibration
 from bumpymap.scan import ScanConfig, classify_filter, load_stripes, polar_sectors, scan_frames
 from bumpymap.scan.cells import lay_grid
-from bumpymap.scan.ground import cell_layout
 from bumpymap.scan.learned import ScanModel, classify_learned, infer, network_input, probabilities
 from bumpymap.scan.methods import SectorRater
+from bumpymap.scan.sectors import neighbours
 from bumpymap.scan.stripes import StripeFilter, count_stripes
 
 
@@ -77,7 +77,7 @@ def test_open_sectors_share_smooth_or_fair_with_their_neighbours_and_nothing_els
     rough = stack.traversable & (alone[:, 2] > 0.5)
     assert (classed.class_id[rough] == 2).all()
     # Log-odds of fair against smooth: its own, and one and a half times the mean of the open sectors around it.
-    near, cell = cell_layout(stack.settings).near, cell_numbers(stack)
+    near, cell = neighbours(stack.settings), cell_numbers(stack)
     smooth, fair = np.maximum(alone[:, :2], 1e-3).T
     odds = dict(zip(cell[is_open].tolist(), np.log(fair / smooth)[is_open].tolist(), strict=True))
     for row in np.flatnonzero(is_open):
