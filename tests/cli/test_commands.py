@@ -162,10 +162,9 @@ def test_what_is_refused_is_one_message_in_options_and_leaves_nothing(code, line
 
 # --- diff, report ---
 def test_diff_writes_files_and_replaces_them_if_asked(tmp_path):
-    done = run("diff", "may", "june", "--out", tmp_path / "out")
-    assert done.exit_code == 0, done.output
+    run("diff", "may", "june", "--out", tmp_path / "out", code=0)
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {"change.tif", "change.json", "report.html"}
-    assert run("diff", "may", "june", "--out", tmp_path / "out").exit_code == 3
+    run("diff", "may", "june", "--out", tmp_path / "out", code=3)
     assert run("diff", "may", "june", "--out", tmp_path / "out", "--overwrite", "--quiet").output == ""
 
 
@@ -179,13 +178,12 @@ def test_the_record_of_a_diff_for_machines():
 
 
 def test_the_page_of_a_map_or_a_comparison_is_made_again_and_its_place_is_said(tmp_path):
-    assert run("diff", "may", "may", "--out", tmp_path / "d").exit_code == 0
+    run("diff", "may", "may", "--out", tmp_path / "d", code=0)
     for folder in (Path("field"), tmp_path / "d"):
         page = folder / "report.html"
         before = page.read_bytes()
         page.unlink()
-        done = run("report", folder)
-        assert done.exit_code == 0, done.output
+        done = run("report", folder, code=0)
         assert done.output.split() == ["Open", str(page), "in", "a", "browser."]
         assert page.read_bytes() == before
         assert run("report", folder, "--quiet").output == ""
@@ -199,8 +197,7 @@ def test_the_page_of_a_map_or_a_comparison_is_made_again_and_its_place_is_said(t
 def test_a_crop_around_a_point_in_either_system(tmp_path, point):
     degrees = Transformer.from_crs(32614, 4326, always_xy=True).transform(330004.5, 2040004.5)
     words = ("--around", point.format(*degrees), "--radius", 2, "--datum", "crs:330000,2040000")
-    done = run("export", "field", "--to", "nav2", "--out", tmp_path / "out", *words, "--json")
-    assert done.exit_code == 0, done.output
+    done = run("export", "field", "--to", "nav2", "--out", tmp_path / "out", *words, "--json", code=0)
     record = json.loads(done.stdout)
     assert record["area"] == {"west": 0.0, "south": 0.0, "east": 9.0, "north": 9.0}
     assert record["resolution_m"] == pytest.approx(0.2)
@@ -210,8 +207,7 @@ def test_a_crop_around_a_point_in_either_system(tmp_path, point):
 # --- route ---
 def test_the_way_goes_through_the_gap_and_all_files_are_there(tmp_path):
     words = ["route", "layers", "--from", lonlat(20.5, 8.5), "--to", lonlat(20.5, 22.5), "--out", tmp_path / "way"]
-    result = run(*words)
-    assert result.exit_code == 0, result.output
+    result = run(*words, code=0)
     files = {path.name: path.read_bytes() for path in (tmp_path / "way").iterdir()}
     views = {"map.qgs", "route.qml"}
     assert set(files) == {"route.geojson", "route.gpx", "profile.csv", "route.png", "route.json", *views}
@@ -221,20 +217,18 @@ def test_the_way_goes_through_the_gap_and_all_files_are_there(tmp_path):
     assert max(y for _, y in line.coords) > (SOUTH + ROWS - 3) * 3.0
     properties = json.loads(files["route.geojson"])["features"][0]["properties"]
     assert properties["length_m"] == pytest.approx(line.length, abs=0.02)  # 7 decimals of a degree
-    again = run(*words)
-    assert again.exit_code == 3
+    again = run(*words, code=3)
     assert "--overwrite" in again.output
     wrong = run(*words, "--avoid", "none.geojson")
     assert "none.geojson" in wrong.output  # told before that the folder is occupied
-    assert run(*words, "--overwrite").exit_code == 0
+    run(*words, "--overwrite", code=0)
     after = {path.name: path.read_bytes() for path in (tmp_path / "way").iterdir()}
     assert {name for name in files if files[name] != after[name]} <= {"route.json"}
 
 
 def test_without_a_place_to_write_only_the_summary_is_printed(made):
     before = sorted(made.rglob("*"))
-    result = run("route", "layers", "--from", place(20.5, 8.5), "--to", place(5.5, 8.5))
-    assert result.exit_code == 0
+    result = run("route", "layers", "--from", place(20.5, 8.5), "--to", place(5.5, 8.5), code=0)
     assert sorted(made.rglob("*")) == before
     assert result.stdout.splitlines()[1].split()[:3] == ["route", "45", "1.00"]
 
@@ -248,15 +242,14 @@ def test_where_the_survey_is_too_thin_the_message_says_what_density_would_do(tmp
     assert "if nothing narrower than 0.7 m stands in the way" in " ".join(done.stdout.split())
     (way,) = json.loads(run(*words, "--json").stdout)["routes"]
     assert way["smallest_object_m"] == pytest.approx(0.69)
-    refused = run(*words, "--seen-width", "0.5")
-    assert refused.exit_code == 3
+    refused = run(*words, "--seen-width", "0.5", code=3)
     text = " ".join(refused.output.split())
     assert re.search(r"where objects of 0\.5 m would not be seen: that takes \d+ points/m2.* raise --seen-width", text)
     inside = run(*words[:3], place(5.5, 20.5), *words[4:], "--seen-width", "0.5")
     assert "objects of 0.5 m would not be seen, which --seen-width closes" in " ".join(inside.output.split())
     record = json.loads((tmp_path / "thin" / "run.json").read_text())
     assert "are not seen" in record["counts"]["seen_sizes"]["seen"]
-    assert run("export", tmp_path / "thin", "--to", "nav2", "--out", tmp_path / "nav2").exit_code == 0
+    run("export", tmp_path / "thin", "--to", "nav2", "--out", tmp_path / "nav2", code=0)
     exported = json.loads((tmp_path / "nav2" / "datum.json").read_text())
     assert exported["seen"] == record["counts"]["seen_sizes"]["seen"]
     assert exported["seen"] in (tmp_path / "nav2" / "map.yaml").read_text()
@@ -265,8 +258,7 @@ def test_where_the_survey_is_too_thin_the_message_says_what_density_would_do(tmp
 def test_what_can_be_reached_is_a_raster_and_outlines_of_the_map_or_a_part(tmp_path):
     out = tmp_path / "reach"
     words = ["route", "layers", "--from", place(20.5, 8.5), "--out", out, "--overwrite"]
-    result = run(*words, "--isochrones", "0.5,1")
-    assert result.exit_code == 0, result.output
+    result = run(*words, "--isochrones", "0.5,1", code=0)
     assert "can be reached from the start" in result.stdout
     with rasterio.open(out / "reach.tif") as file:
         assert file.descriptions == ("cost", "minutes")
@@ -290,8 +282,7 @@ def out_files(folder):
 
 def test_one_scan(tmp_path):
     out = tmp_path / "out"
-    result = run("scan", "frame.ply", "--method", "filter", "--out", out)
-    assert result.exit_code == 0, result.output
+    result = run("scan", "frame.ply", "--method", "filter", "--out", out, code=0)
     rows = [line.split() for line in result.stdout.splitlines()]
     table = pq.read_table(out / "sectors.parquet").to_pydict()
     vertices = read_vertices(out / "frames" / "frame.ply")
@@ -312,7 +303,7 @@ def test_pictures_of_all_frames_or_of_every_nth_as_far_as_wanted(tmp_path):
     words = ("--method", "filter", "--set", "products=table", "--overwrite", "--out", tmp_path / "out", "--pictures")
     pictures = {}
     for more in ((), ("2",), ("1", "--set", "range_m=10")):
-        assert run("scan", tmp_path / "drive", *words, *more).exit_code == 0
+        run("scan", tmp_path / "drive", *words, *more, code=0)
         pictures[more] = {path.name: path.read_bytes() for path in (tmp_path / "out" / "frames").iterdir()}
     everyone, second, near = pictures.values()
     assert list(map(sorted, pictures.values())) == [["0.png", "1.png", "2.png"], ["0.png", "2.png"], sorted(everyone)]
@@ -326,8 +317,7 @@ def test_a_drive_for_machines(tmp_path):
         write_bin(drive / f"{number}.bin", scanned(seed=number))
     (tmp_path / "poses.csv").write_text("t,x,y,z,qx,qy,qz,qw\n0,0,0,1,0,0,0,1\n1,1,0,1,0,0,0,1\n")
     words = ("--out", out, "--method", "filter", "--set", "products=table, cloud")
-    result = run("scan", drive, "--poses", tmp_path / "poses.csv", "--json", *words)
-    assert result.exit_code == 0, result.output
+    result = run("scan", drive, "--poses", tmp_path / "poses.csv", "--json", *words, code=0)
     record = json.loads(result.stdout)
     assert record["frames"] == 2
     assert record["points"] == sum(record["points_by_class"].values())
@@ -345,10 +335,9 @@ def test_a_drive_for_machines(tmp_path):
 def test_a_bad_frame_among_others(tmp_path):
     bad, out = tmp_path / "bad.ply", tmp_path / "out"
     bad.write_bytes(b"ply\nnonsense")
-    assert run("scan", "frame.ply", bad, "--out", out, "--set", "threads=1").exit_code == 3
+    run("scan", "frame.ply", bad, "--out", out, "--set", "threads=1", code=3)
     assert not list(out.glob("[!.]*"))  # what is finished waits in a hidden folder
-    result = run("scan", "frame.ply", bad, "--out", out, "--skip-bad")
-    assert result.exit_code == 4
+    result = run("scan", "frame.ply", bad, "--out", out, "--skip-bad", code=4)
     assert "skipped frames: 1;" in result.stdout
     assert str(bad) in result.stderr
     assert "frames/frame.ply" in out_files(out)
@@ -388,8 +377,7 @@ def test_what_was_given_is_in_the_command_and_units_in_the_record(tmp_path):
 def test_quick_reads_no_points(tmp_path, monkeypatch):
     path = dense(tmp_path / "a.laz")
     monkeypatch.setattr(laspy.LasReader, "read_points", None)
-    result = run("info", path, "--quick")
-    assert result.exit_code == 0, result.output
+    result = run("info", path, "--quick", code=0)
     assert "900 according to the header" in result.output
     assert "26.8 pts/m2 in the header's extent" in result.output  # 900 / 5.8**2
 
@@ -401,8 +389,7 @@ def test_several_files_are_told_together_and_a_bad_one_is_an_error(tmp_path):
     assert "together: about 0% of the tiles will be unknown" in said
     assert f"one map: bumpymap map {tmp_path} --crs EPSG:32614 --out DIR" in said
     bad.write_bytes(bad.read_bytes()[:-50])
-    result = run("info", tmp_path)
-    assert result.exit_code == 3
+    result = run("info", tmp_path, code=3)
     assert re.search(f"ready, about .*: bumpymap map {good}", result.output)
     assert f"error: {bad}" in result.output
     record = json.loads(run("info", tmp_path, "--json").stdout)["files"][1]
@@ -419,8 +406,7 @@ def test_a_site_larger_than_one_map_is_told_before_and_refused_by_map(tmp_path, 
     assert "separate runs, whose rasters lie on one grid, or give larger tiles with --tile-size" in report
     assert json.loads(run("info", folder, *quick, "--json").stdout)["too_large"].startswith("the survey spans")
     assert json.loads(run("info", south, *quick, "--json").stdout)["too_large"] == ""
-    refused = run("map", folder, "--out", tmp_path / "out")
-    assert refused.exit_code == 3
+    refused = run("map", folder, "--out", tmp_path / "out", code=3)
     said = " ".join(refused.output.split())
     assert "the survey spans 0.0 km x 400.0 km" in said
     assert f"The files read are: {north}, {south}" in said

@@ -71,8 +71,7 @@ def test_events_hold_the_same(capsys):
 
 def test_a_run_in_events(tmp_path):
     survey = write_survey(tmp_path / "a.laz")
-    result = run("map", survey, "--out", tmp_path / "o", "--json")
-    assert result.exit_code == 0
+    result = run("map", survey, "--out", tmp_path / "o", "--json", code=0)
     found = events(result.stderr)
     kinds = [event["event"] for event in found if event["event"] != "info"]
     assert kinds == ["start", *4 * ["stage"], "done"]
@@ -163,8 +162,7 @@ def test_an_encoding_without_the_letters(monkeypatch):
 def test_lines_of_a_message_stay_lines(tmp_path):
     for name in ("a.laz", "b\nError: forged.laz"):
         (tmp_path / name).write_bytes(b"LASFnothing")
-    result = run("map", tmp_path, "--out", tmp_path / "o", "--skip-bad")
-    assert result.exit_code == 3
+    result = run("map", tmp_path, "--out", tmp_path / "o", "--skip-bad", code=3)
     assert "forged" in result.stderr
     assert not any(line.startswith("Error: forged") for line in result.stderr.splitlines())
     found = [line for line in result.stderr.splitlines() if line.startswith("Error: ")]

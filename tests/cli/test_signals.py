@@ -48,7 +48,7 @@ def test_a_signal_ends_a_run_clean_and_keeps_finished_tiles(tmp_path, name, code
         assert done.stderr.strip() == f"{word} No file is half-written.{more}"
         assert [path.name for path in out.rglob("*") if path.parent == out] == [".bumpymap-run"] * after_tiles
         assert list((tmp_path / "tmp").iterdir()) == []
-    assert run("map", survey, "--out", out).exit_code == 0
+    run("map", survey, "--out", out, code=0)
     assert not (out / ".bumpymap-run").exists()
 
 
@@ -186,10 +186,10 @@ def test_a_caller_keeps_its_own_say_about_signals(tmp_path):
 
     before = signal.signal(signal.SIGTERM, own)
     try:
-        assert run("info", tmp_path).exit_code == 3
+        run("info", tmp_path, code=3)
         assert signal.getsignal(signal.SIGTERM) is own
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        assert run("info", tmp_path).exit_code == 3
+        run("info", tmp_path, code=3)
         assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     finally:
         signal.signal(signal.SIGTERM, before)

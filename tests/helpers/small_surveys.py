@@ -15,9 +15,11 @@ SIDES = tuple(f"rasters/{name}.tif.aux.xml" for name in ("barred", "class", "obs
 """Files of a map that GDAL looks for: names, colours and counts of the values of a raster."""
 
 
-def run(*arguments):
-    """Call bumpymap with words, paths and numbers."""
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+def run(*arguments, code=None):
+    """Call bumpymap with words, paths and numbers; it must end with the exit code that is given."""
+    done = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    assert code in {None, done.exit_code}, (done.output, done.exception)
+    return done
 
 
 def files_in(folder):

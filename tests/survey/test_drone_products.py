@@ -23,8 +23,7 @@ MIDDLE = WEST + 14.0
 
 
 def mapped(out, *arguments):
-    outcome = run("map", *arguments, "--out", out, "--threads", 1)
-    assert outcome.exit_code == 0, outcome.output
+    outcome = run("map", *arguments, "--out", out, "--threads", 1, code=0)
     return outcome.output
 
 
@@ -155,8 +154,7 @@ def test_a_batch_maps_dsms_and_projects(tmp_path):
     ortho(tmp_path / "night" / "odm" / "odm_orthophoto" / "odm_orthophoto.tif")
     (tmp_path / "night" / "north.tif").rename(tmp_path / "north.tif")
     (tmp_path / "list.csv").write_text("survey,name,photo\nnorth.tif,north,\nnight/odm,odm,\n")
-    outcome = run("batch", tmp_path / "list.csv", "--out", tmp_path / "out", "--jobs", 1)
-    assert outcome.exit_code == 0, outcome.output
+    run("batch", tmp_path / "list.csv", "--out", tmp_path / "out", "--jobs", 1, code=0)
     assert (tmp_path / "out" / "odm" / "rasters" / "photo.tif").exists()
     assert not (tmp_path / "out" / "north" / "rasters" / "photo.tif").exists()
 
@@ -167,8 +165,7 @@ def test_the_two_commands_from_a_pcd_to_nav2_on_a_real_cloud(tmp_path, shared_da
     cloud_of_robot = shared_data / "scans" / "patchwork_128ch" / "000000.pcd"
     for line in page.split("```")[1].strip().splitlines():
         words = [str(tmp_path / word) if word.startswith("slam_") else word for word in shlex.split(line)[1:]]
-        outcome = run(*(str(cloud_of_robot) if word == "slam.pcd" else word for word in words))
-        assert outcome.exit_code == 0, outcome.output
+        run(*(str(cloud_of_robot) if word == "slam.pcd" else word for word in words), code=0)
     datum = json.loads((tmp_path / "slam_nav2" / "datum.json").read_text())
     assert (datum["datum"]["x"], datum["datum"]["y"]) == (0.0, 0.0)
     assert "map.pgm" in (tmp_path / "slam_nav2" / "map.yaml").read_text()

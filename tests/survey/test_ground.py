@@ -41,8 +41,7 @@ def write(path, points):
 
 
 def mapped(surveys, out, *options):
-    result = run("map", *surveys, "--out", out, "--quiet", *options)
-    assert result.exit_code == 0, result.output
+    run("map", *surveys, "--out", out, "--quiet", *options, code=0)
     return json.loads((out / "run.json").read_text()), pq.read_table(out / "tiles.parquet").drop(["bbox", "geometry"])
 
 
@@ -103,7 +102,7 @@ def test_a_run_killed_on_the_way_goes_on(mixed, tmp_path, limit_points, killed_a
     folder, _ = mixed
     limit_points(chunk=40_000, waiting=100_000)
     killed_at("survey.engine.run._save_joined", tmp_path / "out", folder / "site.laz")
-    assert run("map", folder / "site.laz", "--out", tmp_path / "out").exit_code == 0
+    run("map", folder / "site.laz", "--out", tmp_path / "out", code=0)
     assert layers_of(tmp_path / "out") == layers_of(folder / "auto")
 
 
@@ -170,7 +169,7 @@ def test_classes_of_one_survey_together(tmp_path, density):
     """Ground, a building, a road, a bridge deck and structures of class 26, flush with the road."""
     made_road(tmp_path / "road.laz", density, ramp=26)
     for folder, given in (("without", ()), ("out", ("--ground-classes", "2,11,17,26"))):
-        assert run("map", tmp_path / "road.laz", "--out", tmp_path / folder, "--quiet", *given).exit_code == 0
+        run("map", tmp_path / "road.laz", "--out", tmp_path / folder, "--quiet", *given, code=0)
         table, (x, y) = tiles_of(tmp_path / folder)
         road, deck = np.abs(y - 24.0) < 3.0, np.abs(x - 30.0) < 7.5
         ends = road & ((np.abs(x - 10.5) < 8.5) | ((x > 41.0) & (x < 47.0)))

@@ -136,7 +136,7 @@ def test_a_tenth_of_the_points_must_have_a_colour(points, whole, tmp_path, share
         tmp_path / "a.laz", *(points[:, :3] + CORNER).T, classification=points[:, 3].astype(int), **columns
     )
     with alike_surveys():
-        assert run("map", survey, "--out", tmp_path / "layers").exit_code == 0
+        run("map", survey, "--out", tmp_path / "layers", code=0)
     found = files_in(tmp_path / "layers")
     assert (MapFile.PHOTO in found) == written
     layers = [name for name in PRODUCT_NAMES if name.endswith(".tif") or name == MapFile.TILES]
@@ -150,7 +150,7 @@ def test_only_what_names_the_survey_tells_deliveries_apart(points, tmp_path):
     texts = {}
     for name, files in {"two": halves, "one": [one]}.items():
         out = tmp_path / f"{name} layers"
-        assert run("map", *files, "--out", out).exit_code == 0
+        run("map", *files, "--out", out, code=0)
         survey = json.loads((out / "run.json").read_text())["survey"]
         assert survey["name"] == name
         text = (out / "cost.geojson").read_text()

@@ -41,7 +41,7 @@ def mapped(folder, points, corner, *options):
     survey = write_las(folder / f"{name}.laz", *(points[:, :3] + corner).T, crs=None, offset=offset,
                        classification=points[:, 3].astype(np.uint8))  # fmt: skip
     out = folder / name
-    assert run("map", survey, "--out", out, "--local", "--overwrite", *options).exit_code == 0
+    run("map", survey, "--out", out, "--local", "--overwrite", *options, code=0)
     table = pq.read_table(out / "tiles.parquet").drop_columns(["col", "row", "geometry", "bbox"])
     rasters = {path.name: rasterio.open(path).read() for path in sorted((out / "rasters").glob("*.tif"))}
     return {name: flat(table[name].combine_chunks()) for name in table.column_names}, rasters

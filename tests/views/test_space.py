@@ -14,9 +14,9 @@ def layers(tmp_path_factory):
     """A slope of 0.1, and a way over it."""
     folder = tmp_path_factory.mktemp("space")
     survey = write_survey(folder / "a.las", points=60_000, height=lambda x, _: 0.1 * (x - 500_000) + 50)
-    assert run("map", survey, "--out", folder / "layers").exit_code == 0
+    run("map", survey, "--out", folder / "layers", code=0)
     places = "--from", "500005,4000005", "--to", "500015,4000015"
-    assert run("route", folder / "layers", *places, "--out", folder / "way").exit_code == 0
+    run("route", folder / "layers", *places, "--out", folder / "way", code=0)
     return folder / "layers", folder / "way"
 
 
