@@ -1,4 +1,4 @@
-"""Pictures of routes and scans: what is where, in which colour."""
+"""Pictures of routes and scans, and the look at a map in three dimensions: what is where, in which colour."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -8,11 +8,14 @@ import pytest
 import rasterio
 from PIL import Image
 from route_records import CORNERS, MadeUpMap, make_route
+from small_surveys import run, write_survey
 
 from bumpymap.core import NO_TILE, Barred, PolarSettings, Scan, sector_bounds
+from bumpymap.layers import open_map
 from bumpymap.layers.colours import CLASS_COLOURS, CLOSED_COLOUR, UNKNOWN_COLOUR
 from bumpymap.layers.scan_folder import SCAN_COLOURS, SECTOR_STATES, point_styles, sector_states
 from bumpymap.scan import classify_filter, polar_sectors
+from bumpymap.views import space
 from bumpymap.views.pictures import drawing
 from bumpymap.views.pictures.drawing import MapView, hard_light, levelled, paint_ground
 from bumpymap.views.pictures.route_picture import write_route_picture
@@ -93,14 +96,6 @@ def test_islands_are_faint_and_nothing_else_is(view, ground, monkeypatch):
     np.testing.assert_array_equal(pixels[~faint], whole[~faint])
 
 
-def test_reading_strip_by_strip_paints_the_same(view, ground, monkeypatch):
-    whole, _ = paint_ground(ground, view)
-    monkeypatch.setattr(drawing, "_STRIP_TILES", 300)
-    pieces, _ = paint_ground(ground, view)
-    assert len(ground.windows) > 6
-    np.testing.assert_array_equal(whole, pieces)
-
-
 def painted(route, ground, folder):
     write_route_picture(route, ground, folder / "way.png")
     return np.asarray(Image.open(folder / "way.png"))
@@ -137,15 +132,12 @@ def test_the_profile_is_filled_with_the_colours_of_the_ride_cost(ground, tmp_pat
         assert np.ptp(middle) > 40
 
 
-@pytest.mark.parametrize("names", [["z"], ["c_r", "c_r_low", "c_r_high"], ["z", "c_r", "c_r_low", "c_r_high"]])
-def test_what_is_unknown_is_drawn_without_complaint(ground, names, recwarn, tmp_path):
+def test_what_is_unknown_is_drawn_without_complaint(ground, recwarn, tmp_path):
     base = make_route()
     nothing = np.full(len(base.profile.distance), np.nan)
-    route = replace(base, profile=replace(base.profile, **dict.fromkeys(names, nothing)))
-    ground.height[:] = np.nan
-    ground.barred[:] = NO_TILE
-    ground.c_r[:] = np.nan
-    assert painted(route, ground, tmp_path).shape[1] == 1600
+    profile = replace(base.profile, **dict.fromkeys(("z", "c_r", "c_r_low", "c_r_high"), nothing))
+    ground.height[:], ground.barred[:], ground.c_r[:] = np.nan, NO_TILE, np.nan
+    assert painted(replace(base, profile=profile), ground, tmp_path).shape[1] == 1600
     assert not [str(warning.message) for warning in recwarn if "numpy" in str(warning.filename)]
 
 
@@ -246,3 +238,56 @@ def test_far_points_and_strange_grids_are_no_trouble():
     for far_m, range_m in ((0.5, 1000.0), (9000.0, 1.0)):
         sectors = polar_sectors(scan, PolarSettings((0.0,), far_m, (3,), (1,)))
         assert paint(scan, classify_filter(sectors), range_m).shape[0] == SIDE
+
+
+# ---- three dimensions ----
+
+
+@pytest.fixture(scope="module")
+def layers(tmp_path_factory):
+    """A slope of 0.1, and a way over it."""
+    folder = tmp_path_factory.mktemp("space")
+    survey = write_survey(folder / "a.las", points=60_000, height=lambda x, _: 0.1 * (x - 500_000) + 50)
+    run("map", survey, "--out", folder / "layers", code=0)
+    places = "--from", "500005,4000005", "--to", "500015,4000015"
+    run("route", folder / "layers", *places, "--out", folder / "way", code=0)
+    return folder / "layers", folder / "way"
+
+
+def test_the_relief_has_its_heights_and_colours_and_ways_lie_over_it(layers):
+    drawn = space.space_of(open_map(layers[0]), layers[1])
+    used = drawn.vertices[np.unique(drawn.triangles)]
+    slope = np.polyfit(used[:, 0], used[:, 2], 1)[0]
+    assert slope == pytest.approx(0.1, abs=0.01)
+    corners = drawn.vertices[drawn.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (normals[:, 2] > 0).all()  # seen from above
+    assert drawn.colours.shape == drawn.vertices.shape
+    assert 0.0 <= drawn.colours.min() < drawn.colours.max() <= 1.0
+    (way,) = drawn.ways
+    ground = np.polyval(np.polyfit(used[:, 0], used[:, 2], 1), way[:, 0])
+    np.testing.assert_allclose(way[:, 2], ground + 0.4, atol=0.1)
+    assert np.hypot(*np.diff(way[[0, -1], :2], axis=0)[0]) == pytest.approx(14.1, abs=0.5)
+
+
+def test_without_a_screen_or_a_driver_it_says_what_to_do(layers, tmp_path, monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "VK_DRIVER_FILES"):
+        monkeypatch.delenv(name, raising=False)
+    assert "--out view.png" in run("view", layers[0]).output
+    assert "view.tif is no picture" in run("view", layers[0], "--out", tmp_path / "view.tif").output
+    monkeypatch.setattr(space, "find_library", lambda _: None)
+    assert "apt-get install libvulkan1" in run("view", layers[0], "--out", tmp_path / "view.png").output
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.open3d
+def test_open3d_draws_it_without_a_screen(layers, tmp_path):
+    picture = tmp_path / "view.png"
+    done = run("view", layers[0], "--route", layers[1], "--out", picture)
+    if "Vulkan driver" in done.output:
+        pytest.skip(done.output)
+    assert done.output == f"Open {picture}.\n"
+    pixels = np.asarray(Image.open(picture).convert("RGB")).reshape(-1, 3)
+    white, black = ((pixels == shade).all(axis=1).mean() for shade in (255, 0))
+    assert 0.1 < white < 0.95  # the ground is there, and what lies beside it
+    assert 0 < black < 0.05  # so is the way
