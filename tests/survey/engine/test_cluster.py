@@ -209,18 +209,6 @@ def test_bad_files_are_skipped_with_the_same_words(surveys, tmp_path, here, monk
     assert all(records[0][key] == records[1][key] for key in ("inputs", "points", "ground_only"))
 
 
-@pytest.mark.parametrize(("place", "finished"), [("decide_ground", True), ("MeasuredTiles.of", False)])
-def test_a_killed_run_goes_on_without_reading_again(surveys, plain, tmp_path, here, killed_at, place, finished):
-    arguments, left = (surveys, "--set", "scheduler=here"), tmp_path / "left"
-    killed_at(f"survey.engine.run.{place}", left, *arguments)
-    here.done.clear()
-    run("map", *arguments, "--out", left, code=0)
-    assert read_ranges not in here.done
-    assert (finish_group in here.done) == finished
-    assert layers_of(left) == layers_of(plain / "auto")
-    assert inputs_of(left) == inputs_of(plain / "auto")
-
-
 @pytest.mark.usefixtures("here")
 @pytest.mark.parametrize("ground", ["auto", pytest.param("all", marks=pytest.mark.later)])
 def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, killed_at, ground, monkeypatch):

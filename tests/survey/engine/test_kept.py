@@ -20,7 +20,6 @@ from bumpymap.core.run_folder import RunFolder, is_interrupted, work_folder
 from bumpymap.layers import check_folder
 from bumpymap.readers.las import LasSurvey
 from bumpymap.survey import with_memory
-from bumpymap.survey.engine.block_work import TileSink
 from bumpymap.survey.engine.budget import Workspace
 from bumpymap.survey.engine.collector import Checkpoints
 from bumpytiles import Pack
@@ -129,14 +128,6 @@ def test_a_run_goes_on_under_other_memory_without_reading_again(surveys, plain, 
     assert sum(fetched) <= 60_000, "chunks that are on disk are read again"
     assert layers_of(out) == plain
     assert "memory" not in json.loads((out / "run.json").read_text())["settings"]
-
-
-def test_a_full_disk_before_any_tile_leaves_nothing(surveys, tmp_path, monkeypatch):
-    monkeypatch.setattr("bumpytiles.buckets._write", full)
-    monkeypatch.setattr(TileSink, "flush", lambda _: None)
-    result = run("map", surveys, "--out", tmp_path / "out", "--set", f"scratch={tmp_path / 'scratch'}", code=3)
-    assert GO_ON not in result.output
-    assert not (tmp_path / "out").exists()
 
 
 def test_a_killed_run_remembers_the_file_that_it_left_out(surveys, tmp_path, monkeypatch, killed_at):
