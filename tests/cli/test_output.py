@@ -19,8 +19,6 @@ from bumpymap.core import escape_controls
 from bumpymap.core.errors import BadInputError
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
 QUARRY = ROOT / "sample_data" / "quarry.laz"
 
 
