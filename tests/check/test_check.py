@@ -12,9 +12,9 @@ import pytest
 from check_records import LIMITS, STRETCH_M, made_up_check, stretches_at
 from pyproj import Geod
 from route_maps import bare_map
-from route_records import MadeUpMap
 from scipy.stats import spearmanr
 from small_surveys import run
+from tile_maps import MadeUpMap
 
 from bumpymap.check import CheckConfig, check_drives
 from bumpymap.check.inertial import even_imu

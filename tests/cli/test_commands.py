@@ -16,8 +16,7 @@ from cost_maps import make_field
 from made_frames import write_bin
 from ply_files import read_vertices, write_ply
 from pyproj import Transformer
-from route_maps import write_folder
-from route_sites import ROWS, SOUTH, WEST, lonlat, place, site
+from route_maps import ROWS, SOUTH, WEST, lonlat, place, site, write_folder
 from small_surveys import run, write_las
 from survey_pairs import survey
 

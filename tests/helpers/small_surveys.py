@@ -1,10 +1,14 @@
-"""Small LAS and LAZ surveys, good ones and broken ones; pictures that are none."""
+"""Small surveys, good ones and broken ones; pictures that are none; layers that say the same of the survey."""
 
 import struct
 import zlib
+from contextlib import contextmanager
 
 import laspy
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
 from click.testing import CliRunner
 from pyproj import CRS
 
@@ -73,3 +77,25 @@ def write_bomb(path):
     jpeg = b"\xff\xd8" + frame + b"\xff\xda\0\x0c\x03\x01\0\x02\0\x03\0\0\x3f\0" + bytes(9) + b"\xff\xd9"
     path.write_bytes(jpeg if path.suffix == ".jpg" else b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
     return path
+
+
+ALIKE = {"name": "survey", "checksum": "blake3:0", "dates": None}
+
+
+@contextmanager
+def alike_surveys():
+    """Name, checksum and dates of all surveys mapped in this process meanwhile are ``ALIKE``."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bumpymap.survey.run_record.survey_record", lambda *_: ALIKE)
+        yield
+
+
+def tiles_without_survey(path):
+    """Bytes of all columns and metadata of a tiles.parquet but what names the survey, for runs of other processes."""
+    table = pq.read_table(path)
+    metadata = {key: value for key, value in table.schema.metadata.items() if not key.startswith(b"survey")}
+    assert len(metadata) < len(table.schema.metadata)
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema.with_metadata(metadata)) as stream:
+        stream.write_table(table.replace_schema_metadata(metadata))
+    return sink.getvalue().to_pybytes()

@@ -4,11 +4,10 @@ import json
 
 import numpy as np
 import pytest
-from alike_surveys import tiles_without_survey
 from corpus import PLACES, Case, hostile_files, odd_place
 from corpus.files import bases, cloud, las_file, layout_of, patched, utm
 from corpus.runner import MEMORY, Runner
-from small_surveys import layers_of
+from small_surveys import layers_of, tiles_without_survey
 
 from bumpymap.core import escape_controls
 

@@ -18,11 +18,10 @@ import pyogrio
 import pytest
 import rasterio
 import shapely
-from cost_maps import make_field, table_of
+from cost_maps import make_field, regions_of, table_of, write_flatgeobuf, write_geojson
 from made_drives import MadeDrive, log_of, write_table
 from pyogrio.raw import write
 from pyproj import CRS
-from region_files import regions_of, write_flatgeobuf, write_geojson
 from route_maps import RUN, bare_map, copy_folder, list_anew, write_folder
 from small_surveys import SIDES, files_in
 

@@ -14,7 +14,7 @@ from hypothesis import given, strategies as st
 from pyogrio.raw import read
 from pyproj import CRS, Geod, Transformer
 from rio_cogeo.cogeo import cog_validate
-from route_records import CORNERS, FIGURES, UTM, MadeUpMap, make_route
+from tile_maps import CORNERS, FIGURES, UTM, MadeUpMap, make_route
 
 from bumpymap.check.pipeline import agreement_of
 from bumpymap.core import CLASS_NAMES, BadInputError, Georeference, RoadFigures, Route, SeenSizes

@@ -8,11 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
-from cost_maps import lone_columns, part_of, table_of
+from cost_maps import lone_columns, part_of, regions_of, table_of, write_flatgeobuf, write_geojson
 from hypothesis import example, given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
 from pyproj import CRS, Transformer
-from region_files import regions_of, write_flatgeobuf, write_geojson
 from scipy import ndimage
 
 from bumpymap.core.errors import BadInputError

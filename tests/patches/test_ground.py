@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import rasterio
 import small_surveys
-from alike_surveys import alike_surveys
 from patch_stacks import block_of
-from small_surveys import layers_of, write_las
+from small_surveys import alike_surveys, layers_of, write_las
 
 from bumpymap.core import install_command
 from bumpymap.core.config import CsfSettings

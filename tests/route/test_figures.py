@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import shapely
 from click.testing import CliRunner
-from route_maps import write_folder
+from route_maps import place, site, write_folder
 from route_oracles import by_heading, gap_to_closed, reach_by_graph, smooth_field, with_slope
-from route_sites import place, site
 from tile_maps import TileMap
 
 from bumpymap.cli import main

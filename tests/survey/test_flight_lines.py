@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from alike_surveys import alike_surveys
-from small_surveys import layers_of, run, write_las
+from small_surveys import alike_surveys, layers_of, run, write_las
 
 from bumpymap.readers import LineSums
 from bumpymap.readers.point_stats import LinedPoints

@@ -9,8 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 import rasterio
 from hypothesis import given, settings, strategies as st
-from ring_maps import write_points
-from rings import GROUND_KINDS, Ring
+from rings import GROUND_KINDS, Ring, write_points
 from scenes import GROUND, OTHER, Place, Scene, ScenePoints, Solid, seen_pixels, survey_scene
 from scipy import ndimage
 from scipy.ndimage import distance_transform_edt

@@ -8,9 +8,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import rasterio
-from alike_surveys import alike_surveys
 from hypothesis import HealthCheck, given, settings, strategies as st
-from small_surveys import SIDES, files_in, run, write_las
+from small_surveys import SIDES, alike_surveys, files_in, run, write_las
 
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES, MapFile
 

@@ -11,7 +11,7 @@ import pytest
 from check_records import made_up_check
 from classed_site import classed_fixture, nothing_fixture, scan_fixture  # noqa: F401 (found by pytest)
 from cost_maps import with_objects
-from ring_maps import write_points
+from rings import write_points
 from route_maps import write_folder
 from scenes import Place, Scene, Solid, survey_scene
 from survey_pairs import COLS, ROWS, survey

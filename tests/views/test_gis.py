@@ -18,10 +18,10 @@ from check_records import made_up_check
 from cost_maps import lone_columns, table_of
 from pyproj import CRS
 from route_maps import RUN, copy_folder, plant_photo, write_folder
-from route_records import CORNERS, UTM, MadeUpMap, make_route
 from skimage.color import deltaE_ciede2000, rgb2lab
 from small_surveys import run, write_survey
 from survey_pairs import survey
+from tile_maps import CORNERS, UTM, MadeUpMap, make_route
 
 import bumpymap
 from bumpymap.check.pipeline import write_check

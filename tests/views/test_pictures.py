@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import rasterio
 from PIL import Image
-from route_records import CORNERS, MadeUpMap, make_route
 from small_surveys import run, write_survey
+from tile_maps import CORNERS, MadeUpMap, make_route
 
 from bumpymap.core import NO_TILE, Barred, PolarSettings, Scan, sector_bounds
 from bumpymap.layers import open_map
