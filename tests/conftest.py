@@ -24,7 +24,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Modules that several rooms' tests share, made-up ground, and damaged files.
-sys.path += [str(Path(__file__).parent / folder) for folder in ("helpers", "worlds", "hostile")]
+sys.path += [str(Path(__file__).parent / folder) for folder in ("helpers", "worlds", "hostile", "fuzz")]
 
 
 @cache

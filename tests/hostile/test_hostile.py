@@ -7,6 +7,7 @@ import pytest
 from corpus import PLACES, Case, hostile_files, odd_place
 from corpus.files import bases, cloud, las_file, layout_of, patched, utm
 from corpus.runner import MEMORY, Runner
+from fuzz_readers import SEEDS, Judge
 from small_surveys import layers_of, tiles_without_survey
 
 from bumpymap.core import escape_controls
@@ -161,3 +162,20 @@ def test_bad_files_and_one_that_breaks_in_its_middle_are_skipped_and_leave_no_po
     assert set(record["skipped"]) == {str(folder / name) for name in bad}
     assert all(path in message for path, message in record["skipped"].items())
     assert [entry["path"] for entry in record["inputs"]] == [str(folder / "good.las")]
+
+
+# ---- what the fuzzer found stays mended ----
+
+
+@pytest.fixture(scope="module")
+def judge(tmp_path_factory):
+    made = Judge(tmp_path_factory.mktemp("seeds"))
+    yield made
+    made.close()
+
+
+@pytest.mark.later
+@pytest.mark.parametrize("seed", sorted(SEEDS.iterdir()), ids=lambda seed: seed.name)
+def test_what_the_fuzzer_found_is_read_or_refused_with_one_message(judge, seed):
+    verdict = judge.verdict(seed.name, seed.read_bytes())
+    assert not verdict.is_fault, verdict.where
