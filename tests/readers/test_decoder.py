@@ -5,9 +5,7 @@ import signal
 import subprocess
 import sys
 import textwrap
-import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -102,27 +100,6 @@ def test_a_decoder_that_comes_to_no_end_or_is_interrupted_leaves_no_answer_for_t
         with pytest.raises(KeyboardInterrupt):
             reader.fetch(first)
     assert np.array_equal(reader.fetch(second), expected)
-
-
-def test_chunks_that_are_requested_at_once_are_decoded_by_several_children(survey, child, monkeypatch):
-    reader = open_survey(survey())
-    assert reader.info.parallel
-    chunks = reader.chunks(700)[:3]
-    expected = [reader.fetch(chunk).copy() for chunk in chunks]
-    meeting = threading.Barrier(3, timeout=60)
-    processes_used, finish = set(), Child.finish
-
-    def together(used):
-        meeting.wait()  # every request has begun
-        processes_used.add(used.process.pid)
-        return finish(used)
-
-    with monkeypatch.context() as patch, ThreadPoolExecutor(3) as pool:
-        patch.setattr(Child, "finish", together)
-        assert same(list(pool.map(reader.fetch, chunks)), expected)
-    assert len(processes_used) == 3
-    child.close()
-    assert all(ended(pid) for pid in processes_used)
 
 
 def test_a_fork_has_a_child_of_its_own(survey, child):
