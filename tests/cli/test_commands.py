@@ -31,18 +31,13 @@ def scanned(count=12_000, seed=0):
     return np.column_stack([x, y, -1.0 + np.where(y < 0, 0.2, 0.002) * rng.standard_normal(count)])
 
 
-def closed_site():
-    """The site with a wall that has no gap."""
-    made = site()
-    slope = np.where(made.patches.col == WEST + 15, 60.0, 2.0)
-    return replace(made, patches=replace(made.patches, slope=slope))
-
-
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """Layers of a field, of a site with a wall, and of two surveys of one place; scans; files of other kinds."""
     root = tmp_path_factory.mktemp("made")
-    sites = {"field": make_field(6, 6, holes=0.0), "layers": site(), "may": survey(1), "closed": closed_site()}
+    sites = {"field": make_field(6, 6, holes=0.0), "layers": site(), "may": survey(1)}
+    wall = np.where(site().patches.col == WEST + 15, 60.0, 2.0)  # without a gap
+    sites["closed"] = replace(site(), patches=replace(site().patches, slope=wall))
     for name, layers in (sites | {"june": survey(2, rut=0.1, c_r=3.0)}).items():
         write_folder(root / name, layers)
     write_ply(root / "frame.ply", np.rec.fromarrays(scanned().astype("<f4").T, names="x,y,z"))

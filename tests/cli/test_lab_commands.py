@@ -196,28 +196,22 @@ def test_drives_that_are_refused_write_nothing(tmp_path):
     assert not out.exists()
 
 
-@pytest.mark.parametrize("content", ["time,gyro_y\n", "{}", '{"format": "bumpymap-run"}', ""])
-def test_what_is_no_calibration_is_not_replaced(layers, tmp_path, content):
-    out = tmp_path / "drive.csv"
-    out.write_text(content)
-    with pytest.raises(OutputError, match="is no calibration, and was not touched"):
-        prepare_refit(layers, None, out, overwrite=True)
-    assert out.read_text() == content
-
-
-def test_a_file_that_exists_is_replaced_only_if_asked(layers, tmp_path):
-    out = tmp_path / "my_robot.json"
-    out.write_text(Calibration.shipped("car").to_json(), encoding="utf-8")
-    (tmp_path / "link.json").symlink_to(tmp_path / "elsewhere.json")
+@pytest.mark.parametrize("content", ["time,gyro_y\n", "{}", '{"format": "bumpymap-run"}', "", None])
+def test_a_calibration_that_exists_is_replaced_only_if_asked_and_other_files_never(layers, tmp_path, content):
+    out, link = tmp_path / "my_robot.json", tmp_path / "link.json"
+    out.write_text(Calibration.shipped("car").to_json() if content is None else content, encoding="utf-8")
+    link.symlink_to(tmp_path / "elsewhere.json")
     for path, overwrite, said in (
         (out, False, "exists; give `overwrite=True`"),
-        (tmp_path / "link.json", False, "exists"),
+        (link, False, "exists"),
         (tmp_path, True, "is a folder"),
+        *([] if content is None else [(out, True, "is no calibration, and was not touched")]),
     ):
         with pytest.raises(OutputError, match=said):
             prepare_refit(layers, None, path, overwrite=overwrite)
-    write_refit(WARTHOG, out, driven_stretches(WARTHOG, 50), 1.0, overwrite=True)
-    assert Calibration.load(out).vehicle["name"] == "warthog"
+    if content is None:
+        write_refit(WARTHOG, out, driven_stretches(WARTHOG, 50), 1.0, overwrite=True)
+        assert Calibration.load(out).vehicle["name"] == "warthog"
 
 
 def test_a_map_is_needed_and_its_own_calibration_at_its_own_speed(layers, tmp_path):

@@ -196,7 +196,10 @@ def test_the_python_of_the_page_runs(part, site_layers, tmp_path, monkeypatch):
     (tmp_path / "sample_data").symlink_to(ROOT / "sample_data")
     for name in ("site_layers", "may_layers", "june_layers"):
         (tmp_path / name).symlink_to(site_layers.folder)
-    write_drives(tmp_path)
+    rows = [line.split(",") for line in write_drive(tmp_path / "monday.csv").read_text("utf-8").splitlines()]
+    for name, columns in (("imu.csv", slice(0, 7)), ("gnss.csv", slice(7, None))):
+        lines = [",".join([row[0], *row[columns][columns.start == 0 :]]) for row in rows]
+        (tmp_path / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     calls = API.index("\n## Map a survey\n")
     blocks = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL).finditer(API)
@@ -207,14 +210,6 @@ def test_the_python_of_the_page_runs(part, site_layers, tmp_path, monkeypatch):
     assert names
     if part == "notebook":
         check_notebook(names, matplotlib.image.imread(tmp_path / "notebook.png"))
-
-
-def write_drives(folder):
-    """Write a drive of 40 m over the survey as one file, and as one for each sensor."""
-    rows = [line.split(",") for line in write_drive(folder / "monday.csv").read_text("utf-8").splitlines()]
-    for name, columns in (("imu.csv", slice(0, 7)), ("gnss.csv", slice(7, None))):
-        lines = [",".join([row[0], *row[columns][columns.start == 0 :]]) for row in rows]
-        (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def check_notebook(names, picture):

@@ -70,13 +70,6 @@ def faults_of_refusal(outcome, shown):
     return faults
 
 
-def cases():
-    """All files; but one in twenty only comes later."""
-    for number, case in enumerate(FILES):
-        later = [pytest.mark.later] if number % 20 else []
-        yield pytest.param(case, id=case.name, marks=later)
-
-
 @pytest.mark.parametrize("name", bases())
 def test_what_the_damage_starts_from_is_whole(runner, tmp_path, name):
     path = tmp_path / name
@@ -86,7 +79,13 @@ def test_what_the_damage_starts_from_is_whole(runner, tmp_path, name):
     assert json.loads((tmp_path / "out" / "run.json").read_text())["counts"]["points"] == 400
 
 
-@pytest.mark.parametrize("case", list(cases()))
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(case, id=case.name, marks=[pytest.mark.later] if number % 20 else [])
+        for number, case in enumerate(FILES)
+    ],
+)
 def test_hostile_file(runner, tiles_of, tmp_path, case: Case):
     path, out = tmp_path / case.name, tmp_path / "out"
     path.write_bytes(case.data)

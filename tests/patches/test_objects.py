@@ -108,14 +108,10 @@ def test_plants_that_are_brushed_aside_are_no_obstacle_and_a_wire_is_one(rng):
     assert found(ground, things(np.arange(0.1, 3, 0.2), 1.5, 0.8)).obstacle[0] >= 13 / 225
 
 
-def lifted(ground, x, y, radius, height):
-    """Ground of which a disc is raised, and none of the ground."""
-    disc = np.hypot(ground[:, 0] - x, ground[:, 1] - y) < radius
-    return np.where(disc[:, None], ground + np.array([0, 0, height, -1]), ground)
-
-
 def test_ground_is_continued_under_a_boulder_and_down_a_slope(rng):
-    stack = found(lifted(meadow(rng, slope=0.5), 1.5, 1.5, 0.7, 0.6))
+    ground = meadow(rng, slope=0.5)
+    raised = np.hypot(*(ground[:, :2] - 1.5).T) < 0.7
+    stack = found(ground + raised[:, None] * [0, 0, 0.6, -1])  # and none of the ground
     assert stack.obstacle[0] == pytest.approx(np.pi * 0.7**2 / 9, rel=0.2)
     assert stack.obstacle_height[0] == pytest.approx(0.6, abs=0.12)
 
@@ -304,12 +300,6 @@ def test_a_few_points_of_a_wall_that_ends_in_a_tile_are_no_noise_but_points_belo
 BY_NAME = {scene.name: seen_from_above(scene) for scene in SCENES}
 
 
-def pixel_centres(image, west, south):
-    """Return the places of the middles of pixels."""
-    rows, cols = (np.arange(size) for size in image.shape)
-    return np.meshgrid(west + 0.2 * (cols + 0.5), south + 0.2 * (len(rows) - rows - 0.5))
-
-
 SOLIDS = [
     (200, 0.95, ("wall 0.3 m",)),
     (50, 0.93, ("wall 0.6 m", "bales", "vans", "hut", "hut, unassigned", "hedge")),
@@ -375,7 +365,8 @@ def test_a_bar_overhead_is_canopy_and_the_walls_beside_it_are_not(density):
     closed = []
     for seed in range(6):
         image, west, south = seen_pixels(survey_scene(scene, density, place=Place(20.0 * seed), seed=seed), BODY)
-        x, y = Place(20.0 * seed).in_scene(*pixel_centres(image, west, south))
+        middle = 0.2 * (np.arange(len(image)) + 0.5)
+        x, y = Place(20.0 * seed).in_scene(*np.meshgrid(west + middle, south + middle[::-1]))
         beneath = (np.abs(x) < 1.4) & (np.abs(y) < 0.15)
         on_wall = (np.abs(np.abs(x) - 6.0) < 3.0) & (np.abs(y) < 0.1)
         closed.append([(image[part] == OBSTACLE).mean() for part in (beneath, on_wall)])
@@ -403,21 +394,16 @@ def test_a_fence_seen_here_and_there_is_one_line():
     assert np.all((image[row - 1 : row + 2, cols] == OBSTACLE).any(axis=0))
 
 
-def points_of_a_wall(every, first, last):
-    """States of thinly seen ground with a point of a wall on every so many pixels, but for some in the middle."""
-    states = np.full((75, 75), EMPTY, np.uint8)
-    states[::2, ::2] = FREE
-    states[37, 1::every] = LONE
-    states[37, first : last + 1] = FREE
-    return states
-
-
 @pytest.mark.parametrize(
     ("every", "first", "last", "joins"), [(2, 34, 40, True), (1, 33, 41, False), (2, 30, 44, False)]
 )
 def test_a_line_of_few_points_has_wider_gaps_by_chance(every, first, last, joins):
     """Of 2.5 points per m, 1.6 m apart; in a line of twice as many 2 m are a gap, and 3 m are one in any."""
-    settled = settle_solids(points_of_a_wall(every, first, last), Grid(), FAR)
+    states = np.full((75, 75), EMPTY, np.uint8)
+    states[::2, ::2] = FREE  # thinly seen ground
+    states[37, 1::every] = LONE  # points of a wall, but for some in the middle
+    states[37, first : last + 1] = FREE
+    settled = settle_solids(states, Grid(), FAR)
     assert (settled[37, first : last + 1] == OBSTACLE).any() == joins
 
 

@@ -164,15 +164,11 @@ def as_bytes(rows):
     return np.column_stack([rows[:, :3], np.rint(rows[:, 3] * 255), rows[:, 4:]])
 
 
-def with_nan(rows):
-    return np.where((rows[:, :3] == 0.0).all(axis=1)[:, None] & (np.arange(6) < 3), np.nan, rows)
-
-
 ORDERS = {
     "organised": lambda rows: rows,
     "shuffled": lambda rows: np.random.default_rng(1).permutation(seen(rows)),
     "bytes": as_bytes,
-    "nan": with_nan,
+    "nan": lambda rows: np.where((rows[:, :3] == 0.0).all(axis=1)[:, None] & (np.arange(6) < 3), np.nan, rows),
     "thin": lambda rows: seen(rows)[::17],
 }
 

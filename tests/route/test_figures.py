@@ -35,20 +35,14 @@ def measured(site, corners, **settings):
     return measure_way(CostGround(site, CostSettings(**settings), 10**6), line, line[[0, -1]])
 
 
-def lengths_by_shapely(site, corners):
-    """Length [m] of a line inside each tile, (rows, cols)."""
-    rows, cols = site.c_r.shape
-    row, col = np.mgrid[0:rows, 0:cols]
-    line = shapely.LineString(np.array(corners)[:, ::-1])
-    return shapely.length(shapely.intersection(line, shapely.box(col, row, col + 1, row + 1))) * SIZE
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_figures_are_sums_over_the_lengths_in_each_tile(seed):
     site = random_map(seed=seed)
     corners = np.random.default_rng(seed).uniform((1, 1), (29, 39), (5, 2))
     found = measured(site, corners).figures
-    length = lengths_by_shapely(site, corners)
+    row, col = np.indices(site.c_r.shape)
+    inside = shapely.intersection(shapely.LineString(corners[:, ::-1]), shapely.box(col, row, col + 1, row + 1))
+    length = shapely.length(inside) * SIZE
     hazard = -np.log1p(-site.p_fail.astype(float)) / 10.0
     assert found.length_m == pytest.approx(length.sum(), rel=1e-9)
     assert found.c_r_mean == pytest.approx((length * site.c_r).sum() / length.sum(), rel=1e-6)

@@ -51,13 +51,6 @@ def flatten(blocks):
     return [tuple(getattr(block, name).tobytes() for name in names) for block in blocks]
 
 
-def one_block(x, y, z, flag):
-    buckets = TileBuckets(GRID)
-    buckets.add(*(np.asarray(axis, float) for axis in (x, y, z)), np.asarray(flag))
-    (block,) = buckets.blocks()
-    return block
-
-
 @settings(max_examples=25)
 @given(st.integers(0, 1000), st.lists(st.integers(0, 3000), max_size=6))
 def test_order_and_chunks_of_the_input_change_no_bit(seed, cuts):
@@ -79,7 +72,9 @@ def test_every_place_is_in_its_own_tile_once_and_of_two_points_the_flagged_one_s
         seen += zip(*points, strict=True)
     assert sorted(seen) == sorted(set(zip(*columns[:3], strict=True)))
     for flags, kept in (([1, 0], 1), ([0, 1], 1), ([3, 2], 2), ([0, 3], 3), ([2, 1], 1)):
-        assert one_block([0.0, -0.0], [1.0] * 2, [1.0] * 2, np.array(flags, np.uint8)).flag.tolist() == [kept]
+        buckets = TileBuckets(GRID)
+        buckets.add(np.array([0.0, -0.0]), np.ones(2), np.ones(2), np.array(flags, np.uint8))
+        assert [block.flag.tolist() for block in buckets.blocks()] == [[kept]]
 
 
 def test_points_with_one_hash_are_still_put_in_one_order():

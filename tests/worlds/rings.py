@@ -7,7 +7,6 @@ it has one, is in the middle of the eastern side: a gap, with a bar overhead or 
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import rasterio
@@ -184,7 +183,8 @@ def crossed_by_tools(ring, layers):
     for resolution in ("tile", "pixel"):
         folder = layers.parent / f"nav2_{resolution}"
         export_map(site, folder, ExportSettings(to="nav2", resolution=resolution))
-        cells = read_pgm(folder / "map.pgm")
+        header, _, rest = (folder / "map.pgm").read_bytes().partition(b"\n255\n")
+        cells = np.frombuffer(rest, np.uint8).reshape([int(side) for side in header.split()[2:0:-1]])
         cell = site.grid.tile_size if resolution == "tile" else site.grid.pixel_size
         is_open = cells <= LETHAL
         if resolution == "pixel":  # as the inflation layer does, by half the vehicle's width
@@ -205,10 +205,3 @@ def write_points(points, path):
     """Write points of a scene as LAS."""
     corner, columns = (500_000, 5_700_000, 0), {"classification": points.classification}
     write_las(path, points.x, points.y, points.z + 100.0, crs="EPSG:32632", offset=corner, **columns)
-
-
-def read_pgm(path):
-    """Read a binary image."""
-    header, _, rest = Path(path).read_bytes().partition(b"\n255\n")
-    cols, rows = map(int, header.split()[1:3])
-    return np.frombuffer(rest, np.uint8).reshape(rows, cols)
