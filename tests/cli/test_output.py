@@ -71,9 +71,7 @@ def test_a_run_in_events(tmp_path):
 )
 def test_the_last_event_of_a_failure(tmp_path, monkeypatch, words, code, kind):
     monkeypatch.chdir(tmp_path)
-    result = run(*words)
-    assert result.exit_code == code
-    *_, last = events(result.stderr)
+    *_, last = events(run(*words, code=code).stderr)
     assert (last["event"], last["exit_code"]) == ("error", code)
     assert last["message"]
     assert last["kind"] == kind or kind.startswith("NoSuch")  # older click has one name for these

@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import rasterio
 from click.testing import CliRunner
 from pyproj import CRS
 
@@ -34,6 +35,12 @@ def files_in(folder):
 def layers_of(folder):
     """Bytes of every layer but run.json, which says when it was made."""
     return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
+
+
+def band(path, name=None):
+    """The first band of a raster, or the one of that name."""
+    with rasterio.open(path) as file:
+        return file.read(file.descriptions.index(name) + 1 if name else 1)
 
 
 def write_las(path, x, y, z, *, crs="EPSG:32614", offset=(500_000, 4_000_000, 0), scales=(0.001,) * 3, **columns):

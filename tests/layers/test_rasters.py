@@ -14,6 +14,7 @@ from pyproj import CRS
 from rasterio.env import get_gdal_config
 from rio_cogeo import cog_validate
 from scipy.ndimage import uniform_filter
+from small_surveys import band
 
 from bumpymap.core import CANOPY, CLASS_NAMES, FREE, NO_CLASS, OBJECT_NAMES, OBSTACLE, UNSEEN, ObjectStack
 from bumpymap.core.types import BANDS, BARRED_TEXT, REASON_TEXT, Georeference, Reason
@@ -74,8 +75,8 @@ def test_roughness_of_a_tile_is_its_value(rasters, cost_map):
     found, rest = of_tiles(rasters["roughness"], cost_map)
     columns = lone_columns(cost_map)
     columns["zone"] = np.where(columns["zone"] > 0, columns["zone"], np.nan)
-    for band, values in zip(BANDS, found, strict=True):
-        np.testing.assert_array_equal(values.ravel(), columns[band.name].astype(np.float32))
+    for wanted, values in zip(BANDS, found, strict=True):
+        np.testing.assert_array_equal(values.ravel(), columns[wanted.name].astype(np.float32))
     assert np.isnan(rest).all()
 
 
@@ -342,8 +343,7 @@ def thin(cost_map, share, seed=1):
 
 def relief_of(cost_map, path):
     write_raster(MapFile.RELIEF, table_of(cost_map), path)
-    with rasterio.open(path) as file:
-        return file.read(1)
+    return band(path)
 
 
 def means_of_thirds(cost_map):

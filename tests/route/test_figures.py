@@ -7,12 +7,11 @@ from itertools import pairwise, permutations
 import numpy as np
 import pytest
 import shapely
-from click.testing import CliRunner
 from route_maps import place, site, write_folder
 from route_oracles import by_heading, gap_to_closed, reach_by_graph, smooth_field, with_slope
+from small_surveys import run
 from tile_maps import TileMap
 
-from bumpymap.cli import main
 from bumpymap.core import Barred, DirectionSettings, axis_values, slope_cost
 from bumpymap.route import CostSettings, ground, measure
 from bumpymap.route.ground import CostGround, sample_line
@@ -153,9 +152,7 @@ def test_an_open_line_says_what_it_costs_and_a_point_nothing():
 
 def test_the_command_its_files_and_the_page_say_it(tmp_path):
     layers, out = write_folder(tmp_path / "layers", site()), tmp_path / "way"
-    words = ["route", str(layers), "--from", place(12.5, 5.5), "--to", place(12.5, 25.5), "--out", str(out)]
-    done = CliRunner().invoke(main, words)
-    assert done.exit_code == 0, done.output
+    done = run("route", layers, "--from", place(12.5, 5.5), "--to", place(12.5, 25.5), "--out", out, code=0)
     (said,) = [line for line in done.stdout.splitlines() if line.startswith("The straight line, 60 m, is closed")]
     assert "too steep" in said
     straight = json.loads((out / "route.json").read_text())["routes"][0]["straight"]

@@ -11,7 +11,7 @@ import pytest
 import rasterio
 from made_quarry import tiles_of
 from pyproj import CRS
-from small_surveys import files_in, layers_of, run, write_las
+from small_surveys import band, files_in, layers_of, run, write_las
 
 from bumpymap.core.run_folder import locked
 from bumpymap.layers.products import VIEW_NAMES
@@ -49,8 +49,7 @@ def test_the_smooth_half_is_smoother_than_the_rubble(layers):
         c_r = raster.read(raster.descriptions.index("c_r") + 1)
         assert c_r.shape == (10, 10)
         assert raster.bounds == (500_001, 4_000_002, 500_031, 4_000_032)
-    with rasterio.open(layers / "rasters/class.tif") as raster:
-        class_id = raster.read(1)
+    class_id = band(layers / "rasters/class.tif")
     assert np.median(c_r[:, 6:]) > 5 * np.median(c_r[:, :4])
     assert class_id[:, 6:].min() > class_id[:, :4].max()
 

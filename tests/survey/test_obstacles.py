@@ -7,14 +7,13 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-import rasterio
 from hypothesis import given, settings, strategies as st
 from rings import GROUND_KINDS, Ring, write_points
 from scenes import GROUND, OTHER, Place, Scene, ScenePoints, Solid, seen_pixels, survey_scene
 from scipy import ndimage
 from scipy.ndimage import distance_transform_edt
 from scipy.stats import binned_statistic_2d
-from small_surveys import run, write_las
+from small_surveys import band, run, write_las
 from walls import PIXELS, TILE_SIZE, Wall
 
 import bumpymap
@@ -238,10 +237,8 @@ def test_the_middle_of_the_vehicle_keeps_its_distance_from_every_obstacle(
     place = Place(0.0, 10_400 * BLOCK_M, 118_750 * BLOCK_M)  # where four blocks meet
     write_points(survey_scene(scene, 40, noise=0.01, classified=classified, place=place), tmp_path / "survey.las")
     bumpymap.map_survey(tmp_path / "survey.las", tmp_path / "layers")
-    with rasterio.open(tmp_path / "layers" / "rasters/passage.tif") as file:
-        areas = file.read(1)
-    with rasterio.open(tmp_path / "layers" / "rasters/obstacle.tif") as file:
-        apart = distance_transform_edt(file.read(1) != OBSTACLE) * file.res[0]
+    areas, obstacle = (band(tmp_path / f"layers/rasters/{name}.tif") for name in ("passage", "obstacle"))
+    apart = distance_transform_edt(obstacle != OBSTACLE) * PIXEL_M
     is_free = (areas > 0) & (areas < NODATA)
     assert is_free.any()
     assert (apart < np.inf).any()

@@ -12,13 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
 from check_records import made_up_check
 from page_outline import Outline
 from PIL import Image
 from pyproj import Transformer
 from route_maps import copy_folder, plant_photo, write_folder
-from small_surveys import write_bomb
+from small_surveys import band, write_bomb
 from survey_pairs import COLS, ROWS, survey
 
 import bumpymap
@@ -32,11 +31,6 @@ from bumpymap.views.page import change_page
 from bumpymap.views.page.batch_page import index_page
 from bumpymap.views.page.change_page import NOT_COMPARED
 from bumpymap.views.pictures.drawing import levelled
-
-
-def band(folder, name):
-    with rasterio.open(folder / "change.tif") as file:
-        return file.read(file.descriptions.index(name) + 1)
 
 
 def places_of(page):
@@ -80,13 +74,13 @@ def test_places_are_those_of_the_features(comparison, read_page):
 
 def test_values_of_the_page_are_those_of_the_raster_within_its_rounding(comparison, read_page):
     page = read_page(comparison / "report.html")
-    changed, kinds = band(comparison, "changed"), page.codes("ground")
+    changed, kinds = band(comparison / "change.tif", "changed"), page.codes("ground")
     compared = np.isfinite(changed)
     assert 0 < compared.sum() < compared.size
     np.testing.assert_array_equal(kinds, np.where(compared, changed, NOT_COMPARED))
     for key in ("d_height", "d_c_r"):
         shown, grid = page.values(key)
-        roots = [np.sign(values) * np.sqrt(np.abs(values)) for values in (shown, band(comparison, key))]
+        roots = [np.sign(values) * np.sqrt(np.abs(values)) for values in (shown, band(comparison / "change.tif", key))]
         roots[1][~compared] = np.nan
         np.testing.assert_allclose(*roots, rtol=0, atol=grid["step"] / 2 + 1e-6, err_msg=key)
 
@@ -133,7 +127,9 @@ def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, tmp_path, monk
     page = read_page(write_report(comparison, tmp_path / "coarse.html"))
     assert page.data["maps"][0]["metres"] == 3 * step
     kinds, (shown, _) = page.codes("ground"), page.values("d_height")
-    heights = np.where(np.isfinite(band(comparison, "changed")), band(comparison, "d_height"), np.nan)
+    heights = np.where(
+        np.isfinite(band(comparison / "change.tif", "changed")), band(comparison / "change.tif", "d_height"), np.nan
+    )
     for row, col in np.ndindex(kinds.shape):
         part = np.s_[row * step : (row + 1) * step, col * step : (col + 1) * step]
         tiles = fine[part]

@@ -23,7 +23,7 @@ import yaml
 from hypothesis import given, settings, strategies as st
 from PIL import Image
 from pyproj import CRS, Geod
-from small_surveys import files_in, write_survey
+from small_surveys import band, files_in, write_survey
 
 import bumpymap
 from bumpymap.core import (
@@ -95,8 +95,7 @@ def exported(route_map, out, **settings):
 
 def pixel_values(folder, name):
     """Values of a raster on its pixels; row 0 is the south."""
-    with rasterio.open(folder / name) as file:
-        values = file.read(1)[::-1]
+    values = band(folder / name)[::-1]
     return values if name.endswith("obstacle.tif") else np.kron(values, np.ones((15, 15), values.dtype))
 
 

@@ -19,7 +19,7 @@ from cost_maps import lone_columns, table_of
 from pyproj import CRS
 from route_maps import RUN, copy_folder, plant_photo, write_folder
 from skimage.color import deltaE_ciede2000, rgb2lab
-from small_surveys import run, write_survey
+from small_surveys import band, run, write_survey
 from survey_pairs import survey
 from tile_maps import CORNERS, UTM, MadeUpMap, make_route
 
@@ -314,8 +314,7 @@ def test_colours_are_those_of_the_legend_under_mid_grey_light(folder, tmp_path, 
         with rasterio.open(path) as file:
             step = file.width // source.window.cols
             rasters[path.stem] = file.read(1)[step // 2 :: step, step // 2 :: step].ravel()
-    with rasterio.open(folder / "rasters/roughness.tif") as file:
-        island = file.read(file.descriptions.index("zone") + 1).ravel() == 2
+    island = band(folder / "rasters/roughness.tif", "zone").ravel() == 2
 
     def muted(colour):
         veiled = np.where(island[:, None], 0.4 * colour + 0.6 * 128, colour)

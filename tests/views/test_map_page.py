@@ -10,24 +10,18 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import rasterio
 from cost_maps import make_field
 from page_outline import Outline, require_no_requests
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from pyproj import Transformer
 from route_maps import VEHICLE, change_bars, copy_folder, list_anew, write_folder
-from small_surveys import run, write_bomb, write_broken
+from small_surveys import band, run, write_bomb, write_broken
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, PageSettings, UsageError
 from bumpymap.views import page_header, write_report
 from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM
 from bumpymap.views.words import share
-
-
-def raster(folder, name, band=None):
-    with rasterio.open(folder / name) as file:
-        return file.read(file.descriptions.index(band) + 1 if band else 1)
 
 
 def counted(table):
@@ -54,29 +48,29 @@ def test_the_page_asks_nobody_and_its_tables_equal_the_counts_of_the_run(site, r
 
 def test_values_of_the_page_are_those_of_the_rasters_within_its_rounding(site, read_page):
     page = read_page(site / "report.html")
-    classes, ground = raster(site, "rasters/class.tif"), page.codes("ground")
+    classes, ground = band(site / "rasters/class.tif"), page.codes("ground")
     known = classes != NO_CLASS
     assert known.any()
     assert (ground[known] == classes[known]).all()
     assert (ground[~known] >= UNKNOWN_FROM).all()
-    assert (page.codes("barred") == raster(site, "rasters/barred.tif")).all()
-    bands = {name: raster(site, "rasters/roughness.tif", name) for name in ("c_r", "p_fail", "slope")}
-    bands["cost"] = raster(site, "cost.tif")
-    for key, band in bands.items():
+    assert (page.codes("barred") == band(site / "rasters/barred.tif")).all()
+    bands = {name: band(site / "rasters/roughness.tif", name) for name in ("c_r", "p_fail", "slope")}
+    bands["cost"] = band(site / "cost.tif")
+    for key, values in bands.items():
         shown, grid = page.values(key)
-        wanted = np.where(known, band, np.nan)
+        wanted = np.where(known, values, np.nan)
         assert (np.isnan(shown) == np.isnan(wanted)).all(), key
         if grid["scale"] == "log":
             shown, wanted = np.log(shown), np.log(np.maximum(wanted, 1e-4))
         assert np.nanmax(np.abs(shown - wanted)) <= grid["step"] / 2 + 1e-6, key
     shown, grid = page.values("height")
-    blocks = raster(site, "rasters/heightmap.tif").reshape(30, 15, 40, 15).astype(float)
+    blocks = band(site / "rasters/heightmap.tif").reshape(30, 15, 40, 15).astype(float)
     count = np.isfinite(blocks).sum(axis=(1, 3))
     assert (np.isnan(shown) == (count == 0)).all()
     mean = np.nansum(blocks, axis=(1, 3)) / np.maximum(count, 1)
     assert np.abs(shown - mean)[count > 0].max() <= grid["step"] / 2 + 1e-3
     found = page.objects()
-    assert np.array_equal(found, raster(site, "rasters/obstacle.tif"))
+    assert np.array_equal(found, band(site / "rasters/obstacle.tif"))
     assert (found == OBSTACLE).any()
 
 

@@ -13,6 +13,7 @@ from axe_playwright_python.sync_playwright import Axe
 from page_outline import Outline
 from pyproj import Transformer
 from route_maps import change_bars, copy_folder, list_anew, plant_photo
+from small_surveys import band
 
 from bumpymap.core import Barred
 from bumpymap.layers import BARRED_COLOURS, RideScale, SurveyRow
@@ -315,8 +316,7 @@ def test_the_pointer_reads_the_ride_by_heading_as_words_and_as_a_rose(visit, pag
     assert visit(pages["one"]).locator(".rose").count() == 0
     with rasterio.open(folder / "rasters/class.tif") as file:
         about = file.profile | {"driver": "GTiff", "dtype": "float32", "count": 8, "nodata": np.nan}
-    with rasterio.open(folder / "rasters/roughness.tif") as file:
-        c_r = file.read(1)
+    c_r = band(folder / "rasters/roughness.tif")
     with rasterio.open(folder / "rasters/headings.tif", "w", **about) as file:
         file.write(c_r * np.array([1.5, 1, 1, 1, 0.5, 1, 1, 1], np.float32)[:, None, None])
     page = visit(write_report(folder))

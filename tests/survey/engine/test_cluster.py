@@ -329,8 +329,7 @@ def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, distribute
         monkeypatch.setattr(
             "bumpymap.survey.engine.collector.ResultCollector.add", lambda *_: next(once, lambda: None)()
         )
-        result = map_on(cluster.scheduler_address, surveys, tmp_path / "layers")
-    assert result.exit_code == 2, result.output
+        result = map_on(cluster.scheduler_address, surveys, tmp_path / "layers", code=2)
     assert "the connection to the scheduler is lost" in result.output
     assert not (tmp_path / "layers").exists()
 
@@ -356,8 +355,7 @@ def test_workers_that_are_lost_end_the_run_with_a_word_and_nothing_is_read_twice
     place = {"look": (here, "each", lost), "read": (here, "run", lost_after_three), "finish": (executor, lost)}[when]
     with monkeypatch.context() as patch:
         patch.setattr(*place)
-        result = run(*arguments)
-    assert result.exit_code == 2, result.output
+        result = run(*arguments, code=2)
     assert "all 2 workers were lost. Look at their logs" in result.output
     assert "nstall" not in result.output
     if when == "look":
