@@ -4,7 +4,6 @@ import hashlib
 import html
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import made_drives
 import numpy as np
@@ -213,28 +212,18 @@ def test_local_metres_are_those_of_the_ellipsoid():
 SITE = bare_map(TileWindow(0, 0, 100, 100), crs=None)
 
 
-def csv_of(path: Path) -> str:
-    """Write the log of a drive as tables; return the place to read it from."""
-    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=60.0, noise=0.01, place_white=0.015))
-    imu = np.column_stack([log.imu.time, log.imu.rate, log.imu.acceleration])
-    head = "time [s],gyro_x [rad/s],gyro_y [rad/s],gyro_z [rad/s],acc_x [m/s2],acc_y [m/s2],acc_z [m/s2]"
-    np.savetxt(path / "imu.csv", imu, delimiter=",", header=head, comments="")
-    lon, lat = -99.0 + log.places.x / 105_000.0, 19.0 + log.places.y / 110_700.0
-    places = np.column_stack([log.places.time, lon, lat])
-    np.savetxt(path / "gnss.csv", places, delimiter=",", header="time [s],longitude [deg],latitude [deg]", comments="")
-    return f"{path / 'imu.csv'},{path / 'gnss.csv'}"
-
-
 def test_drives_are_measured_without_a_map_and_those_that_cannot_be_used_are_named(tmp_path):
     """One of them is no file of a drive, and one is refused when it is measured."""
-    good, bad, parked = csv_of(tmp_path), str(tmp_path / "bad.csv"), str(tmp_path / "parked.csv")
+    good, bad, parked = (str(tmp_path / f"{name}.csv") for name in ("good", "bad", "parked"))
+    log, *_ = made_drives.log_of(made_drives.MadeDrive(seconds=60.0, noise=0.01, place_white=0.015))
+    made_drives.write_table(tmp_path / "good.csv", log, (0.0, 0.0))
     (tmp_path / "bad.csv").write_text("hello")
     made_drives.write_table(tmp_path / "parked.csv", placed("projected", still=True), (0.0, 0.0))
     words = ["check", "--drive", bad, "--drive", parked, "--drive", good, "--out", str(tmp_path / "out")]
     done = run(*words, code=4)
     result = json.loads((tmp_path / "out" / "check.json").read_text())
     (drive,) = result["drives"]
-    assert drive["name"] == "imu,gnss"
+    assert drive["name"] == "good"
     assert drive["way_m"] == pytest.approx(drive["used_m"] + sum(drive["left_out_m"].values()))
     assert drive["speed_mps"] == pytest.approx(1.0, rel=0.05)
     assert (result["map"], result["agreement"], result["line"]) == (None, None, None)

@@ -326,6 +326,12 @@ def dataset(folder, _):
     layers.dataset().load()
 
 
+def tables(folder, _):
+    layers = open_layers(folder)
+    layers.tiles()
+    layers.regions()
+
+
 def virtual(path, aim):
     path.write_text(VRT.format(aim))
 
@@ -422,13 +428,17 @@ def damage(path):
     [
         *(("rasters/class.tif", read) for read in (report, dataset, diff, bag)),
         *(("rasters/heightmap.tif", read) for read in (report, dataset, diff, check)),
-        ("tiles.parquet", report),
+        *(("tiles.parquet", read) for read in (report, tables)),
+        ("cost.fgb", tables),
     ],
 )
-def test_a_layer_that_is_not_the_one_of_the_manifest_is_refused(one, tmp_path, name, read):
+def test_a_layer_that_is_not_the_one_of_the_manifest_or_not_there_is_refused(one, tmp_path, name, read):
     folder = copy_folder(one, tmp_path / "map")
     damage(folder / name)
     with pytest.raises(BadInputError, match="is damaged: its checksum"):
+        read(folder, tmp_path)
+    (folder / name).unlink()
+    with pytest.raises(BadInputError, match=f"{name} is missing"):
         read(folder, tmp_path)
 
 

@@ -257,7 +257,6 @@ def test_scan(folder):
 # ---- what drone software writes ----
 
 
-pytestmark = pytest.mark.slow
 HEIGHTS = ground().astype(np.float32)
 MIDDLE = WEST + 14.0
 

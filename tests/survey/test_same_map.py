@@ -164,8 +164,6 @@ def test_only_what_names_the_survey_tells_deliveries_apart(points, tmp_path):
 # ---- wherever it lies ----
 
 
-pytestmark = pytest.mark.slow
-
 SIDE = 42.0
 """Of the site, m: one block of 48 m holds it, or it lies across four."""
 

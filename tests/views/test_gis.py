@@ -536,8 +536,11 @@ def least_difference(found, seen):
 
 
 @pytest.mark.parametrize("seen", SEEN_BY.values(), ids=SEEN_BY)
-def test_colour_blind_readers_tell_classes_reasons_and_bars_apart(folder, seen, read_page):
+def test_colour_blind_readers_tell_classes_reasons_and_bars_apart_and_neighbouring_classes_in_grey(
+    folder, seen, read_page
+):
     classes = [colour for _, colour, _ in palette(read(folder / "rasters/class.qml")).values()]
+    assert min(least_difference(pair, [[0.2126, 0.7152, 0.0722]] * 3) for pair in pairwise(classes)) > 12
     reasons = {code: colour for code, (_, colour, _) in palette(read(folder / "rasters/reason.qml")).items()}
     codes = read_page(folder / "report.html").data["codes"]
     on_page = ["#{:02x}{:02x}{:02x}".format(*one) for one in (*codes["classColours"], codes["unknownColour"])]
@@ -545,11 +548,6 @@ def test_colour_blind_readers_tell_classes_reasons_and_bars_apart(folder, seen, 
     assert least_difference(on_page, seen) > 12
     assert least_difference([*classes, *(reasons[code] for code in reasons if code)], seen) > 12
     assert least_difference([bar for _, bar, _ in palette(read(folder / "rasters/barred.qml")).values()], seen) > 12
-
-
-def test_neighbouring_classes_are_told_apart_in_grey(folder):
-    classes = [colour for _, colour, _ in palette(read(folder / "rasters/class.qml")).values()]
-    assert min(least_difference(pair, [[0.2126, 0.7152, 0.0722]] * 3) for pair in pairwise(classes)) > 12
 
 
 def test_the_ride_cost_has_one_ramp_on_the_page_and_in_qgis(folder, read_page):
