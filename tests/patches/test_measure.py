@@ -205,24 +205,19 @@ def thin_of(points, *, ground_only=False):
     return measure_thin(points, patches, SETTINGS, ground_only=ground_only)
 
 
-def plain_pairs(x, y, z):
-    """The measures of one tile without strays, by numpy."""
-    plane = np.column_stack((x, y, np.ones(len(x))))
-    slope, *_ = np.linalg.lstsq(plane, z, rcond=None)
-    h = z - plane @ slope
-    i, j = np.triu_indices(len(x), 1)
-    close = np.hypot(x[i] - x[j], y[i] - y[j]) < CLOSE
-    return [np.hypot(*slope[:2]), ((h[i] - h[j]) ** 2)[close].sum(), close.sum()]
-
-
 def test_pairs_of_points_are_those_of_numpy():
     rng = np.random.default_rng(3)
     x, y = rng.uniform(0, 3, 80), rng.uniform(0, 6, 80)
     points = block_of(600_000 + x, 3_999_999 + y, 900 + 0.2 * x + rng.normal(0, 0.1, 80))
     pairs, _ = thin_of(points)
     for tile, (first, end) in enumerate(itertools.pairwise(points.starts)):
-        own = slice(first, end)
-        mine = plain_pairs(points.easting[own] - 600_000, points.northing[own] - 4_000_000, points.upward[own] - 900)
+        x, y, z = (axis[first:end] for axis in (points.easting - 600_000, points.northing - 4_000_000, points.upward))
+        plane = np.column_stack((x, y, np.ones(len(x))))
+        slope, *_ = np.linalg.lstsq(plane, z - 900, rcond=None)
+        h = z - 900 - plane @ slope
+        i, j = np.triu_indices(len(x), 1)
+        close = np.hypot(x[i] - x[j], y[i] - y[j]) < CLOSE
+        mine = [np.hypot(*slope[:2]), ((h[i] - h[j]) ** 2)[close].sum(), close.sum()]
         np.testing.assert_allclose(pairs[tile, 2:], mine, rtol=1e-6)
         assert pairs[tile, 0] == end - first > 20
 

@@ -29,15 +29,6 @@ from bumpytiles import Grid
 pytestmark, later = pytest.mark.slow, pytest.mark.later
 
 
-def write_random(path, density, ground_share=0.0, side=60.0):
-    """Write points at random over a square of 20 x 20 tiles."""
-    rng = np.random.default_rng(3)
-    count = int(density * side**2)
-    x, y = 500001 + rng.uniform(0.001, side - 0.001, count), 4000002 + rng.uniform(0.001, side - 0.001, count)
-    z, kind = rng.normal(0.0, 0.02, count), np.where(rng.random(count) < ground_share, 2, 1).astype(np.uint8)
-    return write_las(path, x, y, z, crs=None, classification=kind)
-
-
 def answer(*words):
     result = run(*words, code=0)
     return json.loads(result.stdout.strip().splitlines()[-1] if words[0] == "map" else result.stdout)
@@ -53,7 +44,11 @@ def foretold_and_found(out, *words):
 
 @pytest.mark.parametrize(("density", "ground_share"), [(0.4, 0.0), (5.0, 0.0), (14.0, 0.02), (0.4, 0.8), (60.0, 0.5)])
 def test_what_is_foretold_is_found(tmp_path, density, ground_share):
-    foretold, found = foretold_and_found(tmp_path / "out", write_random(tmp_path / "a.laz", density, ground_share))
+    rng, count = np.random.default_rng(3), int(density * 60**2)
+    x, y = rng.uniform(0.001, 59.999, (2, count)) + np.array([[500_001], [4_000_002]])  # 20 x 20 tiles
+    kind = np.where(rng.random(count) < ground_share, 2, 1).astype(np.uint8)
+    survey = write_las(tmp_path / "a.laz", x, y, rng.normal(0.0, 0.02, count), crs=None, classification=kind)
+    foretold, found = foretold_and_found(tmp_path / "out", survey)
     assert foretold == pytest.approx(found, abs=0.02)
 
 

@@ -286,12 +286,6 @@ def steps_of(wall, density, noise, rng, closing=np.inf):
     return find_steps(heights, PIXELS, closing=closing)
 
 
-def level_step(density, noise, rng, closing=np.inf):
-    """Lowest step that level ground says would have been found, m."""
-    limit = steps_of(Wall(0.0, 0, 0, 0), density, noise, rng).limit
-    return float(np.median(smallest_step(limit, density, closing)))
-
-
 def share_of_steps(height, density, noise, rng, *, closing=np.inf, surveys=4):
     """Share of the tiles on a step, at any place and angle, that find at least half of it, or are closed by it."""
     found, axis = [], (np.arange(1, STEP_TILES - 1) + 0.5) * TILE_SIZE
@@ -330,7 +324,8 @@ def test_a_post_of_that_width_is_found_in_95_percent_and_a_narrower_one_is_not(d
 )
 def test_a_step_of_that_height_is_found_and_a_lower_one_is_not(density, noise, closing):
     rng = np.random.default_rng(density)
-    height = level_step(density, noise, rng, closing)
+    limit = steps_of(Wall(0.0, 0, 0, 0), density, noise, rng).limit  # of level ground
+    height = float(np.median(smallest_step(limit, density, closing)))
     assert share_of_steps(height, density, noise, rng, closing=closing, surveys=8) > 0.9
     assert share_of_steps(0.4 * height, density, noise, rng, closing=closing, surveys=8) < 0.6
 
@@ -413,11 +408,6 @@ def areas_of(free, body):
     return number[labels]
 
 
-def zones_of(table, body):
-    with TemporaryDirectory() as folder:
-        return second_pass.add_zones(table, body, Path(folder)).read(("zone", "barred", "passage"))
-
-
 def expected(found, body):
     """The zones by one labelling of all pixels; tiles are ordered north first, then west first."""
     px, row, col = SMALL_GRID.pixels, found["row"].max() - found["row"], found["col"] - found["col"].min()
@@ -458,7 +448,8 @@ def test_zones_are_those_of_the_whole_mosaic_however_it_is_cut(body, data):
     with pytest.MonkeyPatch.context() as patch:
         blocks = data.draw(st.sampled_from([1, 2, 9]))
         patch.setattr(second_pass, "STRIP_PIXELS", blocks * (BLOCK_TILES * SMALL_GRID.pixels) ** 2)
-        found = zones_of(table, body)
+        with TemporaryDirectory() as folder:
+            found = second_pass.add_zones(table, body, Path(folder)).read(("zone", "barred", "passage"))
     np.testing.assert_array_equal(found["zone"], expected(found, body))
     assert found["zone"].dtype == np.int32
 

@@ -99,6 +99,13 @@ def pixel_values(folder, name):
     return values if name.endswith("obstacle.tif") else np.kron(values, np.ones((15, 15), values.dtype))
 
 
+def sampled(folder, name, band, x, y, datum):
+    with rasterio.open(folder / name) as file:
+        places = zip((x + datum["x"]).tolist(), (y + datum["y"]).tolist(), strict=True)
+        index = file.descriptions.index(band) + 1 if band else 1
+        return np.array([value[0] for value in file.sample(places, indexes=index)])
+
+
 @pytest.fixture(scope="module")
 def whole(route_map, tmp_path_factory):
     return exported(route_map, tmp_path_factory.mktemp("nav2") / "out")
@@ -150,11 +157,7 @@ def test_cells_lie_where_the_survey_has_them(route_map, folder, tmp_path, around
     rng = np.random.default_rng(1)
     rows, cols = (rng.integers(0, size, 5_000) for size in grid.data.shape)
     x, y = grid.world(rows, cols)
-    places = list(zip((x + datum["x"]).tolist(), (y + datum["y"]).tolist(), strict=True))
-    with rasterio.open(folder / "rasters/barred.tif") as file:
-        barred = np.array([value[0] for value in file.sample(places)])
-    with rasterio.open(folder / "rasters/obstacle.tif") as file:
-        pixel = np.array([value[0] for value in file.sample(places)])
+    barred, pixel = (sampled(folder, f"rasters/{name}.tif", None, x, y, datum) for name in ("barred", "obstacle"))
     cell, kept = grid.data[rows, cols], mask.data[rows, cols]
     unknown, passable = np.isin(barred, [Barred.UNKNOWN, NO_TILE]), barred == Barred.NO
     obstacle, unseen = pixel == 1, pixel == 3
@@ -452,13 +455,6 @@ def cells(message, name):
     top = info.pose.position.y + 0.5 * (info.length_y - info.resolution)
     row, col = np.indices(matrix.shape)
     return (first - info.resolution * row).ravel(), (top - info.resolution * col).ravel(), matrix.ravel()
-
-
-def sampled(folder, name, band, x, y, datum):
-    with rasterio.open(folder / name) as file:
-        places = zip((x + datum["x"]).tolist(), (y + datum["y"]).tolist(), strict=True)
-        index = file.descriptions.index(band) + 1 if band else 1
-        return np.array([value[0] for value in file.sample(places, indexes=index)])
 
 
 @pytest.mark.parametrize(
