@@ -122,19 +122,7 @@ def dask_scheduler():
 
 
 @pytest.fixture(scope="session")
-def cost_map(make_field):
-    return make_field(40, 30)
-
-
-@pytest.fixture(name="make_map", scope="session")
-def make_map_fixture():
-    from cost_maps import make_map
-
-    return make_map
-
-
-@pytest.fixture(name="make_field", scope="session")
-def make_field_fixture():
+def cost_map():
     from cost_maps import make_field
 
-    return make_field
+    return make_field(40, 30)

@@ -194,7 +194,7 @@ ALONE = {
 @pytest.mark.slow
 @pytest.mark.parametrize("small", [True, False])
 @pytest.mark.parametrize("product", ALONE)
-def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, make_field, monkeypatch, product, small):
+def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, monkeypatch, product, small):
     if not small:  # what large layers do
         monkeypatch.setattr("bumpymap.layers.vector.IN_MEMORY", 0)
         monkeypatch.setattr("bumpymap.layers._cog.SMALL", 0)

@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 import rasterio
-from cost_maps import SPEEDS, lone_columns, make_field, part_of, table_of
+from cost_maps import SPEEDS, lone_columns, make_field, make_map, part_of, table_of
 from pyproj import CRS
 from rasterio.env import get_gdal_config
 from rio_cogeo import cog_validate
@@ -183,7 +183,7 @@ def each_four(pixels, nodata):
     return even.reshape(lines, 2, columns, 2).swapaxes(1, 2).reshape(lines, columns, 4)
 
 
-def test_overviews_average_and_most_frequent(tmp_path, make_field):
+def test_overviews_average_and_most_frequent(tmp_path):
     cost_map = make_field(300, 200, grid=Grid(3.0, 2), holes=0.0)
     for name in ("roughness", "class", "speed"):
         WRITERS[name](cost_map, tmp_path / f"{name}.tif")
@@ -204,7 +204,7 @@ def test_overviews_average_and_most_frequent(tmp_path, make_field):
 
 
 @pytest.mark.parametrize("small", [0, 1 << 30], ids=["on disk", "in memory"])
-def test_a_large_raster_of_several_bands_has_the_same_overviews(tmp_path, make_field, monkeypatch, small):
+def test_a_large_raster_of_several_bands_has_the_same_overviews(tmp_path, monkeypatch, small):
     """They are made before it is converted; blocks without values take no room."""
     monkeypatch.setattr(_cog, "SMALL", small)
     cost_map = make_field(520, 260, grid=Grid(3.0, 1))
@@ -223,7 +223,7 @@ def test_a_large_raster_of_several_bands_has_the_same_overviews(tmp_path, make_f
             assert first.overviews(1) == second.overviews(1)
 
 
-def test_unknown_ground_is_unknown_in_overviews_too(tmp_path, make_field):
+def test_unknown_ground_is_unknown_in_overviews_too(tmp_path):
     # One tile in four has a class. GDAL's own overviews leave nodata out of the count: all of them would have one.
     cost_map = make_field(700, 60, grid=Grid(3.0, 1), holes=0.0)
     known = (cost_map.patches.col % 2 == 0) & (cost_map.patches.row % 2 == 0)
@@ -240,7 +240,7 @@ def test_unknown_ground_is_unknown_in_overviews_too(tmp_path, make_field):
 @pytest.mark.parametrize(
     "georeference", [None, Georeference(CRS.from_epsg(2271), 1200 / 3937, 1200 / 3937)], ids=["metres", "feet"]
 )
-def test_heightmap_is_the_heights_side_by_side(tmp_path, make_field, georeference):
+def test_heightmap_is_the_heights_side_by_side(tmp_path, georeference):
     cost_map = make_field(20, 10, west=130_000, south=60_000, georeference=georeference)
     path, unit = tmp_path / "heightmap.tif", cost_map.georeference.metres_per_unit
     WRITERS["heightmap"](cost_map, path)
@@ -258,7 +258,7 @@ ODD = CRS("+proj=ob_tran +o_proj=tmerc +o_lat_p=30 +o_lon_p=0 +lon_0=5 +type=crs
 
 
 @pytest.mark.parametrize("name", ["class", "heightmap"])
-def test_a_crs_without_geotiff_keys_is_in_the_side_file_beside_names_and_counts(tmp_path, make_field, name):
+def test_a_crs_without_geotiff_keys_is_in_the_side_file_beside_names_and_counts(tmp_path, name):
     path = tmp_path / f"{name}.tif"
     WRITERS[name](make_field(8, 6, georeference=Georeference(ODD)), path)
     with rasterio.open(path) as file:
@@ -267,7 +267,7 @@ def test_a_crs_without_geotiff_keys_is_in_the_side_file_beside_names_and_counts(
         check_value_table(path, name, tmp_path / "seen.vrt")
 
 
-def test_threads_take_turns_to_write_and_to_read_rasters(tmp_path, make_field):
+def test_threads_take_turns_to_write_and_to_read_rasters(tmp_path):
     """GDAL flushes blocks that another thread has not finished: for those of a raster that is read, and at a smaller
     limit of its cache, which is the limit of the process."""
     path = tmp_path / "class.tif"
@@ -298,7 +298,7 @@ def test_small_rasters_are_made_in_memory_with_the_same_bytes(rasters, cost_map,
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == made_in_memory
 
 
-def test_overviews_of_a_photo_show_the_coloured_pixels_alone(tmp_path, make_field):
+def test_overviews_of_a_photo_show_the_coloured_pixels_alone(tmp_path):
     table, colour = table_of(make_field(40, 40, holes=0.0)), np.array([200, 100, 50])
     photo = (np.indices((15, 15)).sum(axis=0) % 2)[..., None] * np.tile(colour, (table.tiles.tiles, 1, 1, 1))
     tiles = TileTable.of(table.tiles.grid, table.tiles.read([]) | {"photo": photo.astype(np.uint8)})
@@ -308,7 +308,7 @@ def test_overviews_of_a_photo_show_the_coloured_pixels_alone(tmp_path, make_fiel
         assert np.abs(file.read()[:, file.dataset_mask() > 0] - colour[:, None]).mean() < 3
 
 
-def test_a_mostly_empty_survey_gives_valid_files_without_its_empty_blocks(make_map, tmp_path):
+def test_a_mostly_empty_survey_gives_valid_files_without_its_empty_blocks(tmp_path):
     """40 tiles, one of them in each corner of the extent, three beside each other; overviews keep the lone ones."""
     rng = np.random.default_rng(2)
     col = [0, 0, 302, 302, 100, 101, 102, *rng.integers(3, 99, 33)]

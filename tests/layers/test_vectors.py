@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
-from cost_maps import lone_columns, part_of, regions_of, table_of, write_flatgeobuf, write_geojson
+from cost_maps import lone_columns, make_field, make_map, part_of, regions_of, table_of, write_flatgeobuf, write_geojson
 from hypothesis import example, given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
 from pyogrio.raw import write
@@ -62,7 +62,7 @@ SITES = {
 }
 
 
-def map_of_keys(make_map, keys, site, stretch=1, shift=(0, 0)):
+def map_of_keys(keys, site, stretch=1, shift=(0, 0)):
     """Map with a class for each key, every tile stretched to ``stretch`` tiles side by side."""
     georeference, west, south = SITES[site]
     wide = np.repeat(keys, stretch, axis=1)
@@ -91,9 +91,9 @@ def vertices_by_hand(keys):
 @example(keys=RING_BY_CORNERS, cut=(1, 512), shift=(0, 0))
 @example(keys=BESIDE_A_LONG_SIDE, cut=(45, 512), shift=(-80, 0))
 @example(keys=np.ones((7, 8), np.uint8), cut=(1, 2), shift=(0, 0))
-def test_both_vectors_are_a_coverage_with_the_holes_of_the_tiles(make_map, site, keys, cut, shift):
+def test_both_vectors_are_a_coverage_with_the_holes_of_the_tiles(site, keys, cut, shift):
     stretch, size = cut
-    made = map_of_keys(make_map, keys, site, stretch, shift)
+    made = map_of_keys(keys, site, stretch, shift)
     table, holes = table_of(made), holes_of_tiles(made.patches.col, made.patches.row)
     place = GeoJsonCoordinates.of(Placement.of(table), local=True)
     with pytest.MonkeyPatch.context() as patched:
@@ -126,7 +126,7 @@ def areas_by_hand(cost_map):
     ),
     cols=st.integers(1, 6),
 )
-def test_any_small_map_gives_valid_right_hand_regions(make_map, cells, cols):
+def test_any_small_map_gives_valid_right_hand_regions(cells, cols):
     present = [(i % cols - 3, i // cols - 3, cell) for i, cell in enumerate(cells) if cell is not None]
     col, row, class_id = zip(*present, strict=True)
     cost_map = make_map(col, row, class_id, [3 if cell == NO_CLASS else 0 for cell in class_id])
@@ -142,7 +142,7 @@ def test_any_small_map_gives_valid_right_hand_regions(make_map, cells, cols):
         assert not any(hole.is_ccw for hole in outline.interiors)
 
 
-def test_numbers_are_means_over_the_tiles(make_map):
+def test_numbers_are_means_over_the_tiles():
     made = make_map([0, 1, 0, 1, 5], [0, 0, 1, 1, 9], [2, 2, NO_CLASS, NO_CLASS, 2], [0, 0, 3, 4, 0])
     p_fail = np.array([0.1, 0.4, np.nan, np.nan, 0.5], np.float32)
     cost_map = replace(made, p_fail=p_fail, patches=replace(made.patches, slope=np.zeros(5)))
@@ -168,7 +168,7 @@ def test_numbers_are_means_over_the_tiles(make_map):
     assert regions.cost == pytest.approx([np.nan] * 3 + [cost], nan_ok=True)
 
 
-def test_a_region_of_passable_tiles_lies_in_one_zone(make_map):
+def test_a_region_of_passable_tiles_lies_in_one_zone():
     cost_map = make_map(np.arange(6), np.zeros(6, int), [1] * 6, [0] * 6, easy=True)
     columns = lone_columns(cost_map) | {"zone": np.array([3, 3, 1, 1, 0, 3], np.int32)}
     columns["barred"][5] = Barred.STEP
@@ -182,7 +182,7 @@ def test_a_region_of_passable_tiles_lies_in_one_zone(make_map):
     )
 
 
-def test_a_large_map_is_cut_into_windows_from_its_north_west_corner(make_field, monkeypatch):
+def test_a_large_map_is_cut_into_windows_from_its_north_west_corner(monkeypatch):
     cost_map = make_field(45, 30, holes=0.3)
     monkeypatch.setattr("bumpymap.layers.regions.REGION_WINDOW", 20)
     patches = cost_map.patches
@@ -229,7 +229,7 @@ def check_rfc7946(path):
 
 
 @pytest.fixture(name="site", params=["south", "feet", "northing_first", "far_north"])
-def site_fixture(request, make_field):
+def site_fixture(request):
     georeference, west, south = SITES[request.param]
     return make_field(40, 25, west=west, south=south, georeference=georeference)
 
@@ -280,7 +280,7 @@ def test_geojson_and_flatgeobuf_open_in_geopandas_where_the_tiles_are_with_the_s
     assert globe["passable"].dtype == flat["passable"].dtype == bool
 
 
-def test_long_sides_follow_the_grid_on_the_globe(tmp_path, make_map):
+def test_long_sides_follow_the_grid_on_the_globe(tmp_path):
     # Far from the central meridian and far north, a strip of 3 km: its sides bend on the way to degrees.
     col, row = np.meshgrid(np.arange(240_000, 241_000), [2_900_000, 2_900_001])
     cost_map = make_map(
@@ -299,7 +299,7 @@ def test_long_sides_follow_the_grid_on_the_globe(tmp_path, make_map):
     assert off[along].max() < 0.012  # m: the rounding to 7 decimals is 1 cm
 
 
-def test_across_the_antimeridian_only_local_coordinates_are_written(tmp_path, make_field):
+def test_across_the_antimeridian_only_local_coordinates_are_written(tmp_path):
     place = Georeference(CRS.from_epsg(32701))
     x, y = Transformer.from_crs(4326, place.crs, always_xy=True).transform(180.0, -17.0)
     regions = regions_of(make_field(8, 6, west=round(x / 3) - 4, south=round(y / 3), georeference=place))
@@ -309,7 +309,7 @@ def test_across_the_antimeridian_only_local_coordinates_are_written(tmp_path, ma
     assert geopandas.read_file(tmp_path / "cost.geojson").crs.equals(place.crs, ignore_axis_order=True)
 
 
-def test_without_crs_only_local_coordinates_are_written(tmp_path, make_field):
+def test_without_crs_only_local_coordinates_are_written(tmp_path):
     cost_map = make_field(8, 6, west=-3, south=-2, georeference=Georeference(None))
     regions, path = regions_of(cost_map), tmp_path / "cost.geojson"
     with pytest.raises(BadInputError, match=r"no CRS.*`crs='EPSG:CODE'`.*`local=True`"):
@@ -329,7 +329,7 @@ def test_without_crs_only_local_coordinates_are_written(tmp_path, make_field):
     assert collection["bbox"] == globe.total_bounds.tolist() == flat.total_bounds.tolist() == bounds
 
 
-def test_coordinates_outside_of_the_crs(tmp_path, make_field):
+def test_coordinates_outside_of_the_crs(tmp_path):
     regions = regions_of(make_field(5, 5, west=300_000_000, south=300_000_000))
     with pytest.raises(BadInputError, match=r"outside the area where its CRS.*`force_crs="):
         write_geojson(regions, tmp_path / "cost.geojson", local=False)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from check_records import made_up_check
 from classed_site import classed_fixture, nothing_fixture, scan_fixture  # noqa: F401 (found by pytest)
-from cost_maps import with_objects
+from cost_maps import make_field, with_objects
 from rings import write_points
 from route_maps import write_folder
 from scenes import Place, Scene, Solid, survey_scene
@@ -57,7 +57,7 @@ def read_page_fixture():
 
 
 @pytest.fixture(scope="session")
-def site(tmp_path_factory, make_field):
+def site(tmp_path_factory):
     """Layers of 40 x 30 tiles with every class and reason, and objects."""
     return write_folder(tmp_path_factory.mktemp("report") / "site", with_objects(make_field(40, 30)))
 
@@ -115,7 +115,7 @@ def write_map():
 
 
 @pytest.fixture(scope="session")
-def folder(make_field, write_map, tmp_path_factory):
+def folder(write_map, tmp_path_factory):
     return write_map(with_objects(make_field(21, 16)), tmp_path_factory.mktemp("export") / "site")
 
 
@@ -125,7 +125,7 @@ def route_map(folder):
 
 
 @pytest.fixture(scope="session")
-def easy_folder(make_field, write_map, tmp_path_factory):
+def easy_folder(write_map, tmp_path_factory):
     """Most of it is passable."""
     return write_map(make_field(24, 20, easy=True, holes=0.05), tmp_path_factory.mktemp("export") / "easy")
 

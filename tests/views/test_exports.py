@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 import rasterio
 import yaml
+from cost_maps import make_field
 from hypothesis import given, settings, strategies as st
 from PIL import Image
 from pyproj import CRS, Geod
@@ -278,7 +279,7 @@ def test_an_export_is_replaced_only_if_asked_never_by_another_format_and_never_l
     assert files_in(easy_folder) == before
 
 
-def test_the_datum_says_where_the_frame_lies(easy_map, make_field, write_map, tmp_path):
+def test_the_datum_says_where_the_frame_lies(easy_map, write_map, tmp_path):
     """A way to the north and one to the east of the frame, laid on the ellipsoid from the datum; metres on any map."""
     foot = 1200.0 / 3937.0
     tennessee = Georeference(CRS.from_epsg(2274), foot, foot)  # US survey feet
@@ -408,7 +409,7 @@ def test_files_that_hold_no_route_on_the_map(route_map, tmp_path, text, words):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_map_without_a_crs_has_no_longitudes(make_field, write_map, tmp_path):
+def test_a_map_without_a_crs_has_no_longitudes(write_map, tmp_path):
     local = make_field(6, 5, georeference=Georeference(None), easy=True)
     local_map = open_map(write_map(local, tmp_path / "local"))
     with pytest.raises(BadInputError, match="a mission is in longitude and latitude, and the map has no CRS"):

@@ -15,7 +15,7 @@ import pytest
 import rasterio
 import shapely
 from check_records import made_up_check
-from cost_maps import lone_columns, table_of
+from cost_maps import lone_columns, make_field, table_of
 from pyproj import CRS
 from route_maps import RUN, copy_folder, plant_photo, write_folder
 from skimage.color import deltaE_ciede2000, rgb2lab
@@ -168,7 +168,7 @@ def test_a_photo_lies_as_light_over_the_map_in_place_of_the_relief(folder, tmp_p
 
 
 @pytest.mark.parametrize("crs", ["EPSG:32614+5703", None])
-def test_a_project_has_the_horizontal_crs_or_none(tmp_path, make_field, crs):
+def test_a_project_has_the_horizontal_crs_or_none(tmp_path, crs):
     cost_map = make_field(4, 4, georeference=Georeference(crs and CRS.from_user_input(crs)))
     write_layers(table_of(cost_map), tmp_path, local=crs is None)
     root = read(tmp_path / "map.qgs")
