@@ -1,9 +1,5 @@
 """Made-up maps with pages and exports, a comparison, and a made-up scan with its classes."""
 
-import json
-import re
-import zlib
-from base64 import b64decode
 from dataclasses import replace
 
 import numpy as np
@@ -19,41 +15,6 @@ from survey_pairs import COLS, ROWS, survey
 import bumpymap
 from bumpymap.check.pipeline import write_check
 from bumpymap.layers import open_map
-
-
-class ReadPage:
-    """What a page holds, read as a browser would."""
-
-    def __init__(self, path):
-        self.text = path.read_text(encoding="utf-8")
-        self.data = json.loads(
-            re.search(r'<script type="application/json" id="report-data">(.*?)</script>', self.text)[1]
-        )
-
-    def codes(self, name, at=0):
-        about = self.data["maps"][at]
-        return self.bytes_of(about[name], about)
-
-    def objects(self):
-        about = self.data["maps"][0]["objects"]
-        return self.bytes_of(about["codes"], about)
-
-    @staticmethod
-    def bytes_of(text, about):
-        return np.frombuffer(zlib.decompress(b64decode(text)), np.uint8).reshape(about["rows"], about["cols"])
-
-    def values(self, key, at=0):
-        about = self.data["maps"][at]
-        (grid,) = [grid for grid in about["grids"] if grid["key"] == key]
-        codes = self.bytes_of(grid["codes"], about).astype(float)
-        plain = grid["low"] + grid["step"] * codes
-        values = {"log": np.exp, "root": lambda root: root * np.abs(root)}.get(grid["scale"], np.array)(plain)
-        return np.where(codes == 255, np.nan, values), grid
-
-
-@pytest.fixture(name="read_page", scope="session")
-def read_page_fixture():
-    return ReadPage
 
 
 @pytest.fixture(scope="session")

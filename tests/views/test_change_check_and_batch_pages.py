@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from check_records import made_up_check
-from page_outline import Outline
+from page_outline import Outline, ReadPage
 from PIL import Image
 from pyproj import Transformer
 from route_maps import copy_folder, plant_photo, write_folder
@@ -38,9 +38,9 @@ def places_of(page):
     return {re.match(r"\d+", row[0])[0]: row for row in Outline(page.text).tables["Places that have changed"][1:]}
 
 
-def test_tables_equal_the_counts_of_the_record(comparison, read_page):
+def test_tables_equal_the_counts_of_the_record(comparison):
     record = json.loads((comparison / "change.json").read_text())
-    counts, tables = record["counts"], Outline(read_page(comparison / "report.html").text).tables
+    counts, tables = record["counts"], Outline(ReadPage(comparison / "report.html").text).tables
     assert counts["changed"] > 30
     kinds = tables["Tiles by what became of them"][1:]
     for name, row in zip(CHANGE_KINDS, kinds, strict=False):
@@ -54,8 +54,8 @@ def test_tables_equal_the_counts_of_the_record(comparison, read_page):
     assert surveys["files written on"] == ["2024-05-01", "2025-05-02 to 2025-05-03"]
 
 
-def test_places_are_those_of_the_features(comparison, read_page):
-    page = read_page(comparison / "report.html")
+def test_places_are_those_of_the_features(comparison):
+    page = ReadPage(comparison / "report.html")
     features = json.loads((comparison / "change.geojson").read_text())["features"]
     rows = places_of(page)
     assert [int(row[2]) for row in rows.values()] == sorted((f["properties"]["tiles"] for f in features), reverse=True)
@@ -72,8 +72,8 @@ def test_places_are_those_of_the_features(comparison, read_page):
         assert to_lonlat.transform(spot["east"], spot["north"]) == pytest.approx(tuple(map(float, row[-2:])), abs=1e-3)
 
 
-def test_values_of_the_page_are_those_of_the_raster_within_its_rounding(comparison, read_page):
-    page = read_page(comparison / "report.html")
+def test_values_of_the_page_are_those_of_the_raster_within_its_rounding(comparison):
+    page = ReadPage(comparison / "report.html")
     changed, kinds = band(comparison / "change.tif", "changed"), page.codes("ground")
     compared = np.isfinite(changed)
     assert 0 < compared.sum() < compared.size
@@ -85,18 +85,18 @@ def test_values_of_the_page_are_those_of_the_raster_within_its_rounding(comparis
         np.testing.assert_allclose(*roots, rtol=0, atol=grid["step"] / 2 + 1e-6, err_msg=key)
 
 
-def test_nothing_found_and_nothing_compared_are_not_the_same(may, tmp_path, read_page):
+def test_nothing_found_and_nothing_compared_are_not_the_same(may, tmp_path):
     same = bumpymap.diff_surveys(may, may, tmp_path / "same")
     assert same.regions()["kind"].tolist() == []
-    assert "No change was found on the 1.08 ha that were compared" in read_page(same.folder / "report.html").text
+    assert "No change was found on the 1.08 ha that were compared" in ReadPage(same.folder / "report.html").text
     folder = shutil.copytree(same.folder, tmp_path / "none")
     record = json.loads((folder / "change.json").read_text())
     record["counts"] |= {"compared": 0}
     (folder / "change.json").write_text(json.dumps(record))
-    assert "is not known" in read_page(write_report(folder)).text
+    assert "is not known" in ReadPage(write_report(folder)).text
 
 
-def test_changes_lie_over_the_photo_of_a_survey_or_its_relief_if_the_map_is_the_one_compared(may, tmp_path, read_page):
+def test_changes_lie_over_the_photo_of_a_survey_or_its_relief_if_the_map_is_the_one_compared(may, tmp_path):
     """The surveys begin at other columns."""
     folder, (row, col) = copy_folder(may, tmp_path / "may"), np.mgrid[0:ROWS, 0:COLS]
     colours = np.stack([6 * col, 8 * row, 9 * (col % 2)])
@@ -105,7 +105,7 @@ def test_changes_lie_over_the_photo_of_a_survey_or_its_relief_if_the_map_is_the_
     out = bumpymap.diff_surveys(folder, later, tmp_path / "out").folder
 
     def below():
-        (key,) = {"photo", "relief"} & set(about := read_page(write_report(out)).data["maps"][0])
+        (key,) = {"photo", "relief"} & set(about := ReadPage(write_report(out)).data["maps"][0])
         picture = np.asarray(Image.open(io.BytesIO(b64decode(about[key].partition(",")[2]))), float)
         return key, picture.reshape(ROWS, picture.shape[0] // ROWS, COLS - 5, -1, picture[0, 0].size).mean(axis=(1, 3))
 
@@ -117,14 +117,14 @@ def test_changes_lie_over_the_photo_of_a_survey_or_its_relief_if_the_map_is_the_
     assert (key, np.ptp(found) > 30) == ("relief", True)
     shutil.rmtree(later)
     shutil.rmtree(folder)
-    assert not {"photo", "relief"} & set(read_page(write_report(out)).data["maps"][0])
+    assert not {"photo", "relief"} & set(ReadPage(write_report(out)).data["maps"][0])
 
 
-def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, tmp_path, monkeypatch, read_page):
-    fine, step = read_page(comparison / "report.html").codes("ground"), 7
+def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, tmp_path, monkeypatch):
+    fine, step = ReadPage(comparison / "report.html").codes("ground"), 7
     monkeypatch.setattr(change_page, "_SIDE", -(-max(fine.shape) // step))
     monkeypatch.setattr(change_page, "_STRIP_TILES", 100)
-    page = read_page(write_report(comparison, tmp_path / "coarse.html"))
+    page = ReadPage(write_report(comparison, tmp_path / "coarse.html"))
     assert page.data["maps"][0]["metres"] == 3 * step
     kinds, (shown, _) = page.codes("ground"), page.values("d_height")
     heights = np.where(
@@ -161,11 +161,11 @@ def test_what_cannot_be_made_says_why(comparison, may, tmp_path):
             write_report(twin)
 
 
-def test_without_a_crs(tmp_path, read_page):
+def test_without_a_crs(tmp_path):
     local = {"georeference": Georeference(None)}
     sides = [write_folder(tmp_path / str(seed), survey(seed, rut=0.1 * (seed - 1), **local)) for seed in (1, 2)]
     change = bumpymap.diff_surveys(*sides, tmp_path / "out")
-    page = read_page(change.folder / "report.html")
+    page = ReadPage(change.folder / "report.html")
     number, row = next(iter(places_of(page).items()))
     (spot,) = [spot for spot in page.data["maps"][0]["places"] if spot["name"] == number]
     off = np.abs(np.subtract([float(cell) for cell in row[-2:]], [spot["east"], spot["north"]]))
@@ -174,9 +174,9 @@ def test_without_a_crs(tmp_path, read_page):
     assert "local_coordinates" in json.loads((change.folder / "change.geojson").read_text())
 
 
-def test_the_page_holds_map_figures_and_drives(checked, read_page):
+def test_the_page_holds_map_figures_and_drives(checked):
     out, result = checked
-    page, stretches, offset = read_page(out / "check.html"), result.stretches, MapOffset.of(result.stretches)
+    page, stretches, offset = ReadPage(out / "check.html"), result.stretches, MapOffset.of(result.stretches)
     (about,) = page.data["maps"]
     found = about["stretches"]
     assert [spot["east"] for spot in found] == pytest.approx(stretches.easting, abs=0.01)
@@ -199,11 +199,11 @@ def test_the_page_holds_map_figures_and_drives(checked, read_page):
     assert page.text.count("<circle") == 49 + 50
 
 
-def test_the_page_of_drives_alone_or_on_layers_that_cannot_be_drawn_has_no_map(site, on_site, tmp_path, read_page):
+def test_the_page_of_drives_alone_or_on_layers_that_cannot_be_drawn_has_no_map(site, on_site, tmp_path):
     result = made_up_check(8, ground=False, drives=2)
     drives = (replace(result.drives[0], warnings=("drive 1: no standstill", "too fast")), result.drives[1])
     write_check(replace(result, drives=drives), tmp_path)
-    page = read_page(tmp_path / "check.html")
+    page = ReadPage(tmp_path / "check.html")
     assert page.data["maps"] == []
     assert "Map against drives" not in Outline(page.text).tables
     assert "Spearman" not in page.text
@@ -213,7 +213,7 @@ def test_the_page_of_drives_alone_or_on_layers_that_cannot_be_drawn_has_no_map(s
     result, ground = on_site(made_up_check(50), later)
     (later / "tiles.parquet").unlink()
     write_check(result, tmp_path / "out", ground=ground)
-    assert read_page(tmp_path / "out" / "check.html").data["maps"] == []
+    assert ReadPage(tmp_path / "out" / "check.html").data["maps"] == []
 
 
 @pytest.mark.parametrize(

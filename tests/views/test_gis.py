@@ -16,6 +16,7 @@ import rasterio
 import shapely
 from check_records import made_up_check
 from cost_maps import lone_columns, make_field, table_of
+from page_outline import ReadPage
 from pyproj import CRS
 from route_maps import RUN, copy_folder, plant_photo, write_folder
 from skimage.color import deltaE_ciede2000, rgb2lab
@@ -536,13 +537,11 @@ def least_difference(found, seen):
 
 
 @pytest.mark.parametrize("seen", SEEN_BY.values(), ids=SEEN_BY)
-def test_colour_blind_readers_tell_classes_reasons_and_bars_apart_and_neighbouring_classes_in_grey(
-    folder, seen, read_page
-):
+def test_colour_blind_readers_tell_classes_reasons_and_bars_apart_and_neighbouring_classes_in_grey(folder, seen):
     classes = [colour for _, colour, _ in palette(read(folder / "rasters/class.qml")).values()]
     assert min(least_difference(pair, [[0.2126, 0.7152, 0.0722]] * 3) for pair in pairwise(classes)) > 12
     reasons = {code: colour for code, (_, colour, _) in palette(read(folder / "rasters/reason.qml")).items()}
-    codes = read_page(folder / "report.html").data["codes"]
+    codes = ReadPage(folder / "report.html").data["codes"]
     on_page = ["#{:02x}{:02x}{:02x}".format(*one) for one in (*codes["classColours"], codes["unknownColour"])]
     assert on_page[:-1] == classes
     assert least_difference(on_page, seen) > 12
@@ -550,9 +549,9 @@ def test_colour_blind_readers_tell_classes_reasons_and_bars_apart_and_neighbouri
     assert least_difference([bar for _, bar, _ in palette(read(folder / "rasters/barred.qml")).values()], seen) > 12
 
 
-def test_the_ride_cost_has_one_ramp_on_the_page_and_in_qgis(folder, read_page):
+def test_the_ride_cost_has_one_ramp_on_the_page_and_in_qgis(folder):
     items = list(read(folder / "rasters/roughness.qml").iter("item"))
-    site = read_page(folder / "report.html").data["maps"][0]
+    site = ReadPage(folder / "report.html").data["maps"][0]
     grid, ramp = next(grid for grid in site["grids"] if grid["key"] == "c_r"), site["ramps"]["c_r"]
     ends = np.exp(grid["low"] + grid["step"] * np.linspace(0, 254, len(ramp)))
     parts = np.array([parts_of(item.get("color")) for item in items], float)
