@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from check_records import made_up_check
+from check_records import made_up_check, on_site
 from classed_site import classed_fixture, nothing_fixture, scan_fixture  # noqa: F401 (found by pytest)
 from cost_maps import make_field, with_objects
 from rings import write_points
@@ -43,21 +43,7 @@ def comparison(may):
 
 
 @pytest.fixture(scope="session")
-def on_site():
-    """Return a function that lays the stretches of a check over a map."""
-
-    def lay(result, site):
-        ground, n = open_map(site), len(result.stretches.drive)
-        bounds, part = ground.grid.window_bounds(ground.window), np.linspace(0.1, 0.9, n)
-        easting = bounds.west + part * (bounds.east - bounds.west)
-        northing = bounds.south + part * (bounds.north - bounds.south)
-        return replace(result, stretches=replace(result.stretches, easting=easting, northing=northing)), ground
-
-    return lay
-
-
-@pytest.fixture(scope="session")
-def checked(site, on_site, tmp_path_factory):
+def checked(site, tmp_path_factory):
     """A check of the map ``site``: its folder and its findings; names are markup."""
     bad = "<img src=x onerror=alert(1)>\"'</script><script>alert(2)</script>"
     result, ground = on_site(made_up_check(50, noise=0.35, unknown=[4], drives=2, warnings=[bad]), site)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from check_records import made_up_check
+from check_records import made_up_check, on_site
 from page_outline import Outline, ReadPage
 from PIL import Image
 from pyproj import Transformer
@@ -199,7 +199,7 @@ def test_the_page_holds_map_figures_and_drives(checked):
     assert page.text.count("<circle") == 49 + 50
 
 
-def test_the_page_of_drives_alone_or_on_layers_that_cannot_be_drawn_has_no_map(site, on_site, tmp_path):
+def test_the_page_of_drives_alone_or_on_layers_that_cannot_be_drawn_has_no_map(site, tmp_path):
     result = made_up_check(8, ground=False, drives=2)
     drives = (replace(result.drives[0], warnings=("drive 1: no standstill", "too fast")), result.drives[1])
     write_check(replace(result, drives=drives), tmp_path)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import rasterio
 import shapely
-from check_records import made_up_check
+from check_records import made_up_check, on_site
 from cost_maps import lone_columns, make_field, table_of
 from page_outline import ReadPage
 from pyproj import CRS
@@ -406,7 +406,7 @@ STRANGE_CRS = CRS.from_wkt(UTM.crs.to_wkt().replace(UTM.crs.name, STRANGE))
 
 
 @pytest.fixture(name="strange", scope="module")
-def strange_fixture(tmp_path_factory, on_site):
+def strange_fixture(tmp_path_factory):
     """Folders with a project; every text in them that a stranger may give is that name."""
     root = tmp_path_factory.mktemp("strange")
     calibration = RUN["calibration"] | {"vehicle": STRANGE, "preferences": {"description": STRANGE}}
