@@ -185,6 +185,9 @@ def test_arrays_keep_their_content_until_they_are_dropped_and_then_their_place_c
     for data, value in held:
         assert (data == value).all()
     held = data = part = None
+    for _ in range(9):
+        memory.allocate(1 << 20)  # and dropped at once
+    assert memory.size < 9 << 20
     memory.trim()
     assert memory.size == 0
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -100,6 +101,18 @@ def test_a_decoder_that_comes_to_no_end_or_is_interrupted_leaves_no_answer_for_t
         with pytest.raises(KeyboardInterrupt):
             reader.fetch(first)
     assert np.array_equal(reader.fetch(second), expected)
+
+
+def test_chunks_that_are_requested_at_once_are_decoded_by_several_children(survey, child):
+    reader = open_survey(survey(count=200_000, chunk=4000))
+    expected = records(reader, 4000)
+    assert reader.info.parallel
+    with ThreadPoolExecutor(3) as pool:
+        assert same(list(pool.map(reader.fetch, reader.chunks(4000))), expected)
+    used = [guard.child.process.pid for guard in child.guards if guard.is_alive]
+    assert len(used) > 1
+    child.close()
+    assert all(map(ended, used))
 
 
 def test_a_fork_has_a_child_of_its_own(survey, child):
