@@ -1,5 +1,6 @@
 """Small surveys, good ones and broken ones; pictures that are none; layers that say the same of the survey."""
 
+import shutil
 import struct
 import zlib
 from contextlib import contextmanager
@@ -25,6 +26,19 @@ def run(*arguments, code=None):
     done = CliRunner().invoke(main, [str(argument) for argument in arguments])
     assert code in {None, done.exit_code}, (done.output, done.exception)
     return done
+
+
+def killed_at(place, left, *words):
+    """Map until a place of bumpymap is reached, and leave in a folder what a kill then leaves."""
+    out = left.with_name(f"{left.name} killed")
+
+    def killed(*_, **__):
+        shutil.copytree(out, left)
+        raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(f"bumpymap.{place}", killed)
+        run("map", *words, "--out", out, code=130)
 
 
 def files_in(folder):

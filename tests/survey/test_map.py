@@ -11,7 +11,7 @@ import pytest
 import rasterio
 from made_quarry import tiles_of
 from pyproj import CRS
-from small_surveys import band, files_in, layers_of, run, write_las
+from small_surveys import band, files_in, killed_at, layers_of, run, write_las
 
 from bumpymap.core.run_folder import locked
 from bumpymap.layers.products import VIEW_NAMES
@@ -237,7 +237,7 @@ def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(demo):
 @pytest.mark.parametrize(
     "place", ["survey.engine.run.decide_ground", "layers.write_products", "core.run_folder._remove"]
 )
-def test_a_killed_run_goes_on_and_ends_with_the_same_bits(survey, layers, tmp_path, limit_points, killed_at, place):
+def test_a_killed_run_goes_on_and_ends_with_the_same_bits(survey, layers, tmp_path, limit_points, place):
     """When the points are read, when the tiles are measured, and when the layers are in place."""
     left = tmp_path / "left"
     limit_points(chunk=5_000, waiting=20_000, block=8_000)

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 import rasterio
 from scipy.ndimage import label, map_coordinates
-from small_surveys import files_in, layers_of, run, write_las
+from small_surveys import files_in, killed_at, layers_of, run, write_las
 
 import bumpymap
 from bumpymap.core import INCLUDED_PIXELS, MapConfig, UsageError, with_pixels
@@ -107,7 +107,7 @@ def test_no_way_leads_over_the_wall_that_stands_on_both_sides_of_the_border(mixe
     assert passable[np.abs(y - 31.0) > 6.0].mean() > 0.5
 
 
-def test_a_run_killed_on_the_way_goes_on(mixed, tmp_path, limit_points, killed_at):
+def test_a_run_killed_on_the_way_goes_on(mixed, tmp_path, limit_points):
     folder, _ = mixed
     limit_points(chunk=40_000, waiting=100_000)
     killed_at("survey.engine.run._save_joined", tmp_path / "out", folder / "site.laz")

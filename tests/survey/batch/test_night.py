@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from small_surveys import run, write_broken, write_survey
+from small_surveys import killed_at, run, write_broken, write_survey
 
 from bumpymap.core import MapConfig, OutputError, locked
 from bumpymap.layers.products import PRODUCT_NAMES
@@ -144,7 +144,7 @@ def test_a_crs_for_all_is_that_of_surveys_without_one_and_warnings_are_everywher
     assert "2 already done, 1 with warnings" in again.stdout
 
 
-def test_an_interrupted_survey_is_begun_again_with_other_settings(surveys, alone, tmp_path, killed_at):
+def test_an_interrupted_survey_is_begun_again_with_other_settings(surveys, alone, tmp_path):
     (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n")
     left = tmp_path / "o" / "a"
     killed_at("survey.engine.run.decide_ground", left, surveys / "a.laz", "--align", "off")

@@ -15,7 +15,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from small_surveys import layers_of, run, write_las
+from small_surveys import killed_at, layers_of, run, write_las
 
 import bumpytiles
 from bumpymap.core import install_command
@@ -211,7 +211,7 @@ def test_bad_files_are_skipped_with_the_same_words(surveys, tmp_path, here, monk
 
 @pytest.mark.usefixtures("here")
 @pytest.mark.parametrize("ground", ["auto", pytest.param("all", marks=pytest.mark.later)])
-def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, killed_at, ground, monkeypatch):
+def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, ground, monkeypatch):
     monkeypatch.setattr("bumpymap.survey.engine.reading.LEAST_POINTS", TWO_TASKS)
     one = surveys, "--ground", ground
     many = *one, "--set", "scheduler=here"

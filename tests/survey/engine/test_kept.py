@@ -10,7 +10,7 @@ from pathlib import Path
 import las_files
 import numpy as np
 import pytest
-from small_surveys import files_in, layers_of, run, write_las
+from small_surveys import files_in, killed_at, layers_of, run, write_las
 
 from bumpymap.cli._text import as_options
 from bumpymap.core import MapConfig, UsageError, memory as memory_module, run_folder
@@ -130,7 +130,7 @@ def test_a_run_goes_on_under_other_memory_without_reading_again(surveys, plain, 
     assert "memory" not in json.loads((out / "run.json").read_text())["settings"]
 
 
-def test_a_killed_run_remembers_the_file_that_it_left_out(surveys, tmp_path, monkeypatch, killed_at):
+def test_a_killed_run_remembers_the_file_that_it_left_out(surveys, tmp_path, monkeypatch):
     left, fetched, fetch = tmp_path / "left", [], LasSurvey.fetch
     content = bytearray((surveys / "a.laz").read_bytes())
     content[-10_000:-9_000] = bytes(1000)
@@ -202,7 +202,7 @@ def strip(tmp_path_factory):
     [(21_000, "class", 5, False), (2_000, "class", 5, True), (4_000, "auto", 4, True)],
 )
 def test_complete_blocks_are_finished_before_points_go_to_disk(
-    strip, tmp_path, monkeypatch, limit_points, killed_at, waiting, ground, least, spills
+    strip, tmp_path, monkeypatch, limit_points, waiting, ground, least, spills
 ):
     """And a run that was killed then reads less again, though some files still waited."""
     survey, layers = strip
