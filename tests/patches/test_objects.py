@@ -222,20 +222,12 @@ def test_points_of_a_boulder_that_was_taken_for_ground_make_an_obstacle_across_t
     assert np.all(apart.flag == 1)
 
 
-def surveyed(ground, density):
-    """Points of a block of 16 x 16 tiles, without classes, and the block measured."""
+def bare_tiles(ground, density):
+    """Points of a block of 16 x 16 tiles, without classes: obstacles, tiles, and what is left without what stands."""
     rng = np.random.default_rng(3)
     x, y = rng.uniform(0, 48, (2, int(density * 48**2)))
     points = block_of(x, y, ground(x, y) + 0.01 * rng.normal(size=len(x)))
-    return points, measure(points, SETTINGS, ground_only=False)
-
-
-def gentle(x, y):
-    return 0.1 * x + 0.03 * np.sin(2 * y)
-
-
-def bare_tiles(ground, density):
-    points, patches = surveyed(ground, density)
+    patches = measure(points, SETTINGS, ground_only=False)
     found = find_in_relief(points, patches, BODY)
     return found[0].objects == OBSTACLE, patches, *leave_out_standing(points, patches, found, SETTINGS)
 
@@ -273,7 +265,7 @@ def test_tiles_of_which_little_is_left_or_where_the_vehicle_fits_nowhere_stay_as
     stays = (bare.relief_map == patches.relief_map).all(axis=(1, 2))
     assert stays.mean() > 0.98  # in the outermost tiles, fewer things are seen
     # A terrace of 2 m and more, cut by the edge of the block.
-    things, patches, _, bare = bare_tiles(lambda x, y: gentle(x, y) + 1.0 * (x > 46.0), 60)
+    things, patches, _, bare = bare_tiles(lambda x, y: 0.1 * x + 0.03 * np.sin(2 * y) + 1.0 * (x > 46.0), 60)
     assert not things.any()
     np.testing.assert_array_equal(bare.relief_map, patches.relief_map)
 

@@ -44,17 +44,10 @@ def ulog(topics, dropouts=()):
     rows = []
     for number, (fields, values) in enumerate(topics.values()):
         layout = "<" + "".join(CODES[kind] * count for kind, count, _ in map(_field, fields))
-        rows += [
-            (row[0], _message("D", struct.pack("<H", number) + struct.pack(layout, *map(_plain, row))))
-            for row in values
-        ]
+        rows += [(row[0], _message("D", struct.pack("<H", number) + struct.pack(layout, *row))) for row in values]
     parts += [data for _, data in sorted(rows, key=lambda each: each[0])]
     parts += [_message("O", struct.pack("<H", each)) for each in dropouts]
     return b"".join(parts)
-
-
-def _plain(value):
-    return value.item() if hasattr(value, "item") else value
 
 
 def refusal(path, columns=None):

@@ -38,11 +38,6 @@ def kitti_rows(poses):
     return poses[:, :3].reshape(-1, 12).tolist()
 
 
-def tf_rows(child="lidar"):
-    stamps = [divmod(round(time * 1e9), 10**9) for time in TIMES]
-    return [[*stamp, "map", child, *row] for stamp, row in zip(stamps, numbers(PLACES, QUATS), strict=True)]
-
-
 FORMATS = {
     "kitti": (kitti_rows(MATRICES), None, " "),
     "tum": (numbers(TIMES, PLACES, QUATS), None, " "),
@@ -67,7 +62,10 @@ FORMATS = {
         ",",
     ),
     "seconds and nanoseconds": (
-        tf_rows(),
+        [
+            [*divmod(round(time * 1e9), 10**9), "map", "lidar", *row]
+            for time, row in zip(TIMES, numbers(PLACES, QUATS), strict=True)
+        ],
         "header.stamp.sec,header.stamp.nanosec,header.frame_id,child_frame_id,"
         + ",".join([*(f"transform.translation.{a}" for a in "xyz"), *(f"transform.rotation.{a}" for a in "xyzw")]),
         ",",

@@ -267,11 +267,6 @@ def done(name, **other):
     return SurveyRow(name, "done", **(known | other))
 
 
-def names_of(page):
-    """The names of the surveys in the order of the rows."""
-    return [cell["data-v"] for cell in page.elements["th"] if cell.get("scope") == "row"]
-
-
 def test_text_of_files_is_text():
     rows = [SurveyRow(HOSTILE, "failed", f"{HOSTILE} is broken"), done("b", crs=HOSTILE, unknown_reason=HOSTILE)]
     page = index_page(rows, {HOSTILE: SurveyView(PICTURE, has_report=True)}, ["summary.csv"], HOSTILE, HOSTILE)
@@ -295,7 +290,8 @@ def test_what_failed_comes_first_then_what_can_be_crossed_best_and_names_link_to
     ]
     rows.append(SurveyRow("e", "already done"))
     found = Outline(index_page(rows, {"d e": SurveyView(has_report=True)}, ["summary.csv"], "night"))
-    assert names_of(found) == ["c", "b", "d e", "a", "e"]
+    named = [cell["data-v"] for cell in found.elements["th"] if cell.get("scope") == "row"]
+    assert named == ["c", "b", "d e", "a", "e"]
     assert [link["href"] for link in found.elements["a"]] == ["summary.csv", "d%20e/report.html"]
     assert "5 surveys: 3 done (1 of them earlier), 1 not reached, 1 failed; 2.57 ha mapped\n" in found.text
     assert "60%" in found.text
