@@ -1,5 +1,4 @@
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -24,34 +23,31 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Modules that several rooms' tests share, made-up ground, and damaged files.
-sys.path += [str(Path(__file__).parent / folder) for folder in ("helpers", "worlds", "hostile")]
+sys.path += [str(Path(__file__).parent / folder) for folder in ("helpers", "worlds", "hostile", "fuzz")]
+
+
+NEEDS = {
+    "chromium": (["chromium", "--version"], "chromium"),
+    # Even where it is installed, system libraries that it needs may be missing.
+    "open3d": ([sys.executable, "-c", "import open3d"], "libusb-1.0-0 libegl1 libgl1 libx11-6"),
+    # QGIS has a Python of its own: that of the system.
+    "qgis": (["/usr/bin/python3", "-c", "import qgis.core, qgis.gui"], "python3-qgis"),
+    # Only root can make networks and mounts of its own.
+    "namespaces": (["unshare", "--mount", "--net", "true"], "util-linux"),
+}
+"""What tests with a mark need: a command that fails where it is missing, and Debian's packages."""
 
 
 @cache
 def _why_without(mark):
     """Say why a test with a mark cannot run here; nothing, if it can."""
-    if mark == "chromium":
-        return (
-            ""
-            if shutil.which("chromium")
-            else "there is no chromium on this machine (Debian: apt-get install chromium)"
-        )
-    if mark == "open3d":  # even if it is installed, system libraries that it needs may be missing
-        try:
-            import open3d  # noqa: F401
-        except (ImportError, OSError) as error:
-            return f"open3d cannot be loaded (Debian: apt-get install libusb-1.0-0 libegl1 libgl1 libx11-6): {error}"
-        return ""
-    if mark == "namespaces" and (not hasattr(os, "geteuid") or os.geteuid() != 0):
-        return "only root can make networks and mounts of its own, with unshare"
-    # QGIS has a Python of its own: that of the system.
-    qgis = ["/usr/bin/python3", "-c", "import qgis.core, qgis.gui"]
-    command = {"qgis": qgis, "namespaces": ["unshare", "--mount", "--net", "true"]}[mark]
+    command, packages = NEEDS[mark]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     except OSError as error:
-        return f"no {mark} here: {error}"
-    return f"no {mark} here: {done.stderr.strip().splitlines()[-1]}" if done.returncode else ""
+        return f"no {mark} here (Debian: apt-get install {packages}): {error}"
+    said = done.stderr.strip().splitlines()[-1:]
+    return f"no {mark} here (Debian: apt-get install {packages}): {said}" if done.returncode else ""
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -66,7 +62,7 @@ def pytest_collection_modifyitems(items):
 
 def pytest_runtest_setup(item):
     """Skip a test that is marked with what is missing here, and say why."""
-    for mark in ("chromium", "open3d", "qgis", "namespaces"):
+    for mark in NEEDS:
         if item.get_closest_marker(mark) and (reason := _why_without(mark)):
             pytest.skip(reason)
 
@@ -126,19 +122,7 @@ def dask_scheduler():
 
 
 @pytest.fixture(scope="session")
-def cost_map(make_field):
-    return make_field(40, 30)
-
-
-@pytest.fixture(name="make_map", scope="session")
-def make_map_fixture():
-    from cost_maps import make_map
-
-    return make_map
-
-
-@pytest.fixture(name="make_field", scope="session")
-def make_field_fixture():
+def cost_map():
     from cost_maps import make_field
 
-    return make_field
+    return make_field(40, 30)

@@ -106,23 +106,6 @@ def test_the_dataset_is_kept_in_a_netcdf_file(layers, tmp_path):
     assert layers.obstacles().attrs.items() >= about.items()
 
 
-def test_a_missing_or_damaged_layer_is_said(layers, tmp_path):
-    folder = shutil.copytree(layers.folder, tmp_path / "copy")
-    opened = bumpymap.open(str(folder))
-    for name, call in (
-        ("rasters/heightmap.tif", opened.heights),
-        ("rasters/class.tif", opened.dataset),
-        ("tiles.parquet", opened.tiles),
-    ):
-        (folder / name).write_bytes(b"nothing")
-        with pytest.raises(bumpymap.BadInputError, match=f"{name} is cut off or was changed|cannot read .*{name}"):
-            call()
-        (folder / name).unlink()
-        with pytest.raises(bumpymap.BadInputError, match=f"{name} is missing"):
-            call()
-    assert "warthog" in repr(opened)
-
-
 def test_a_folder_of_a_drive_names_its_map(tmp_path):
     (tmp_path / "scan.json").write_text("{}", encoding="utf-8")
     with pytest.raises(bumpymap.BadInputError, match="map of this drive is in"):
@@ -156,6 +139,14 @@ def test_without_out_the_files_go_with_the_object():
     assert np.isfinite(heights).sum() > 1000
 
 
+def lines_of(script, *arguments, **how):
+    """Run a script in a process of its own; gives what it prints."""
+    command = [sys.executable, "-c", script, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, **how)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
 IN_A_FORK = """
 import multiprocessing, sys
 from pathlib import Path
@@ -184,9 +175,7 @@ assert not folder.exists()
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere multiprocessing does not fork by itself")
 def test_a_process_that_is_forked_after_a_map_makes_the_same_map_and_leaves_nothing(tmp_path):
     """As `multiprocessing` makes its workers: GDAL would wait for ever for threads that have stayed in the parent."""
-    command = [sys.executable, "-c", IN_A_FORK, PART, tmp_path / "parent"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    lines_of(IN_A_FORK, PART, tmp_path / "parent")
 
 
 LOOP_OVER_MAPS = """
@@ -221,9 +210,9 @@ for number in range(2):
 @pytest.mark.skipif(not OPEN_FILES.is_dir(), reason="open files are counted in /proc, which is Linux's")
 def test_a_loop_over_maps_leaves_no_file_open_and_no_memory(tmp_path):
     survey = write_survey(tmp_path / "small.las", points=5_000, side=12.0)
-    command = [sys.executable, "-c", LOOP_OVER_MAPS, survey, tmp_path]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    (files, memory), (more_files, more_memory) = (map(int, line.split()) for line in done.stdout.splitlines())
+    (files, memory), (more_files, more_memory) = (
+        map(int, line.split()) for line in lines_of(LOOP_OVER_MAPS, survey, tmp_path)
+    )
     assert more_files == files
     assert more_memory - memory < 200_000
 
@@ -258,9 +247,7 @@ with ThreadPoolExecutor(len(surveys)) as pool:
 def test_threads_map_surveys_with_the_same_bytes_as_one_after_the_other(tmp_path, surveys, number):
     for seed in range(surveys):
         write_survey(tmp_path / f"{seed}.laz", points=5_000, side=12.0, seed=seed)
-    command = [sys.executable, "-c", MAPS_IN_THREADS, tmp_path, str(number)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300 + 30 * number)
-    assert done.returncode == 0, done.stderr
+    lines_of(MAPS_IN_THREADS, tmp_path, number, timeout=300 + 30 * number)
 
 
 def test_values_of_layers_that_were_replaced_are_not_mixed_with_the_earlier_ones(tmp_path):

@@ -15,44 +15,30 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[1]
 CI = ROOT / ".ci"
-
-
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 CONDA = {"lazrs": "lazrs-python", "lazy-loader": "lazy_loader"}
 """Packages that have another name on conda-forge."""
 
 
-@pytest.fixture(name="project", scope="module")
-def project_fixture():
-    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-
-
-@pytest.fixture(name="recipe", scope="module")
-def recipe_fixture():
-    return yaml.safe_load((ROOT / ".ci" / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
-
-
-@pytest.fixture(name="containerfile", scope="module")
-def containerfile_fixture():
-    return (ROOT / "Containerfile").read_text(encoding="utf-8")
-
-
-def test_the_conda_package_needs_what_the_wheel_needs(project, recipe):
-    wanted = {f"python {project['project']['requires-python']}"}
-    for line in project["project"]["dependencies"]:
+def test_the_conda_package_needs_what_the_wheel_needs():
+    recipe = yaml.safe_load((CI / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
+    wanted = {f"python {PROJECT['project']['requires-python']}"}
+    for line in PROJECT["project"]["dependencies"]:
         one = Requirement(line)
         wanted.add(f"{CONDA.get(one.name, one.name)} {one.specifier}")
         wanted |= {CONDA.get(extra, extra) for extra in one.extras}  # conda has no extras: laspy[lazrs] is two packages
     assert set(recipe["requirements"]["run"]) == wanted
-    assert project["build-system"]["requires"] == [
+    assert PROJECT["build-system"]["requires"] == [
         line.replace(" ", "") for line in recipe["requirements"]["host"][-2:]
     ]
 
 
-def test_the_container_copies_what_the_wheel_is_built_from(project, containerfile):
+def test_the_container_copies_what_the_wheel_is_built_from():
+    containerfile = (ROOT / "Containerfile").read_text(encoding="utf-8")
     copied = " ".join(re.findall(r"^COPY (?!--from)(.*) \S+$", containerfile, re.MULTILINE)).split()
     assert all((ROOT / name).exists() for name in copied)
-    own = project["project"]
-    wheel = project["tool"]["scikit-build"]["wheel"]
+    own = PROJECT["project"]
+    wheel = PROJECT["tool"]["scikit-build"]["wheel"]
     assert {"pyproject.toml", own["readme"], *own["license-files"], ".ci/hashes.txt", ".ci/install"} <= set(copied)
     assert {package.split("/")[0] for package in wheel["packages"]} <= set(copied)
     sample = re.search(r"sample_data/\S+\.laz", (ROOT / "tiles" / "CMakeLists.txt").read_text(encoding="utf-8"))

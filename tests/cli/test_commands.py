@@ -16,8 +16,7 @@ from cost_maps import make_field
 from made_frames import write_bin
 from ply_files import read_vertices, write_ply
 from pyproj import Transformer
-from route_maps import write_folder
-from route_sites import ROWS, SOUTH, WEST, lonlat, place, site
+from route_maps import ROWS, SOUTH, WEST, lonlat, place, site, write_folder
 from small_surveys import run, write_las
 from survey_pairs import survey
 
@@ -32,18 +31,13 @@ def scanned(count=12_000, seed=0):
     return np.column_stack([x, y, -1.0 + np.where(y < 0, 0.2, 0.002) * rng.standard_normal(count)])
 
 
-def closed_site():
-    """The site with a wall that has no gap."""
-    made = site()
-    slope = np.where(made.patches.col == WEST + 15, 60.0, 2.0)
-    return replace(made, patches=replace(made.patches, slope=slope))
-
-
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """Layers of a field, of a site with a wall, and of two surveys of one place; scans; files of other kinds."""
     root = tmp_path_factory.mktemp("made")
-    sites = {"field": make_field(6, 6, holes=0.0), "layers": site(), "may": survey(1), "closed": closed_site()}
+    sites = {"field": make_field(6, 6, holes=0.0), "layers": site(), "may": survey(1)}
+    wall = np.where(site().patches.col == WEST + 15, 60.0, 2.0)  # without a gap
+    sites["closed"] = replace(site(), patches=replace(site().patches, slope=wall))
     for name, layers in (sites | {"june": survey(2, rut=0.1, c_r=3.0)}).items():
         write_folder(root / name, layers)
     write_ply(root / "frame.ply", np.rec.fromarrays(scanned().astype("<f4").T, names="x,y,z"))
@@ -151,8 +145,7 @@ def test_what_is_refused_is_one_message_in_options_and_leaves_nothing(code, line
     if line.startswith("train"):
         pytest.importorskip("torch", reason="torch comes with the extra 'learn'")
     before = {path: path.lstat().st_mtime_ns for path in made.rglob("*")}
-    done = run(*shlex.split(line.replace("OUT", str(tmp_path / "out"))))
-    assert done.exit_code == code, (done.output, done.exception)
+    done = run(*shlex.split(line.replace("OUT", str(tmp_path / "out"))), code=code)
     assert said in " ".join(done.output.split())
     assert "`" not in re.sub("`bumpymap [a-z]+`", "", done.output)
     assert "Traceback" not in done.output
@@ -162,10 +155,9 @@ def test_what_is_refused_is_one_message_in_options_and_leaves_nothing(code, line
 
 # --- diff, report ---
 def test_diff_writes_files_and_replaces_them_if_asked(tmp_path):
-    done = run("diff", "may", "june", "--out", tmp_path / "out")
-    assert done.exit_code == 0, done.output
+    run("diff", "may", "june", "--out", tmp_path / "out", code=0)
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {"change.tif", "change.json", "report.html"}
-    assert run("diff", "may", "june", "--out", tmp_path / "out").exit_code == 3
+    run("diff", "may", "june", "--out", tmp_path / "out", code=3)
     assert run("diff", "may", "june", "--out", tmp_path / "out", "--overwrite", "--quiet").output == ""
 
 
@@ -179,28 +171,25 @@ def test_the_record_of_a_diff_for_machines():
 
 
 def test_the_page_of_a_map_or_a_comparison_is_made_again_and_its_place_is_said(tmp_path):
-    assert run("diff", "may", "may", "--out", tmp_path / "d").exit_code == 0
+    run("diff", "may", "may", "--out", tmp_path / "d", code=0)
     for folder in (Path("field"), tmp_path / "d"):
         page = folder / "report.html"
         before = page.read_bytes()
         page.unlink()
-        done = run("report", folder)
-        assert done.exit_code == 0, done.output
+        done = run("report", folder, code=0)
         assert done.output.split() == ["Open", str(page), "in", "a", "browser."]
         assert page.read_bytes() == before
         assert run("report", folder, "--quiet").output == ""
         done = run("report", folder, "--json")
         assert json.loads(done.stdout.splitlines()[-1]) == {"report": str(page), "bytes": len(before)}
-    done = run("report", tmp_path / "d", "--route", "x")
-    assert (done.exit_code, "--route" in done.output) == (2, True)
+    assert "--route" in run("report", tmp_path / "d", "--route", "x", code=2).output
 
 
 @pytest.mark.parametrize("point", ["crs:330004.5,2040004.5", "330004.5,2040004.5", "lonlat:{0},{1}"])
 def test_a_crop_around_a_point_in_either_system(tmp_path, point):
     degrees = Transformer.from_crs(32614, 4326, always_xy=True).transform(330004.5, 2040004.5)
     words = ("--around", point.format(*degrees), "--radius", 2, "--datum", "crs:330000,2040000")
-    done = run("export", "field", "--to", "nav2", "--out", tmp_path / "out", *words, "--json")
-    assert done.exit_code == 0, done.output
+    done = run("export", "field", "--to", "nav2", "--out", tmp_path / "out", *words, "--json", code=0)
     record = json.loads(done.stdout)
     assert record["area"] == {"west": 0.0, "south": 0.0, "east": 9.0, "north": 9.0}
     assert record["resolution_m"] == pytest.approx(0.2)
@@ -210,8 +199,7 @@ def test_a_crop_around_a_point_in_either_system(tmp_path, point):
 # --- route ---
 def test_the_way_goes_through_the_gap_and_all_files_are_there(tmp_path):
     words = ["route", "layers", "--from", lonlat(20.5, 8.5), "--to", lonlat(20.5, 22.5), "--out", tmp_path / "way"]
-    result = run(*words)
-    assert result.exit_code == 0, result.output
+    result = run(*words, code=0)
     files = {path.name: path.read_bytes() for path in (tmp_path / "way").iterdir()}
     views = {"map.qgs", "route.qml"}
     assert set(files) == {"route.geojson", "route.gpx", "profile.csv", "route.json", *views}
@@ -221,20 +209,18 @@ def test_the_way_goes_through_the_gap_and_all_files_are_there(tmp_path):
     assert max(y for _, y in line.coords) > (SOUTH + ROWS - 3) * 3.0
     properties = json.loads(files["route.geojson"])["features"][0]["properties"]
     assert properties["length_m"] == pytest.approx(line.length, abs=0.02)  # 7 decimals of a degree
-    again = run(*words)
-    assert again.exit_code == 3
+    again = run(*words, code=3)
     assert "--overwrite" in again.output
     wrong = run(*words, "--avoid", "none.geojson")
     assert "none.geojson" in wrong.output  # told before that the folder is occupied
-    assert run(*words, "--overwrite").exit_code == 0
+    run(*words, "--overwrite", code=0)
     after = {path.name: path.read_bytes() for path in (tmp_path / "way").iterdir()}
     assert {name for name in files if files[name] != after[name]} <= {"route.json"}
 
 
 def test_without_a_place_to_write_only_the_summary_is_printed(made):
     before = sorted(made.rglob("*"))
-    result = run("route", "layers", "--from", place(20.5, 8.5), "--to", place(5.5, 8.5))
-    assert result.exit_code == 0
+    result = run("route", "layers", "--from", place(20.5, 8.5), "--to", place(5.5, 8.5), code=0)
     assert sorted(made.rglob("*")) == before
     assert result.stdout.splitlines()[1].split()[:3] == ["route", "45", "1.00"]
 
@@ -248,15 +234,14 @@ def test_where_the_survey_is_too_thin_the_message_says_what_density_would_do(tmp
     assert "if nothing narrower than 0.7 m stands in the way" in " ".join(done.stdout.split())
     (way,) = json.loads(run(*words, "--json").stdout)["routes"]
     assert way["smallest_object_m"] == pytest.approx(0.69)
-    refused = run(*words, "--seen-width", "0.5")
-    assert refused.exit_code == 3
+    refused = run(*words, "--seen-width", "0.5", code=3)
     text = " ".join(refused.output.split())
     assert re.search(r"where objects of 0\.5 m would not be seen: that takes \d+ points/m2.* raise --seen-width", text)
     inside = run(*words[:3], place(5.5, 20.5), *words[4:], "--seen-width", "0.5")
     assert "objects of 0.5 m would not be seen, which --seen-width closes" in " ".join(inside.output.split())
     record = json.loads((tmp_path / "thin" / "run.json").read_text())
     assert "are not seen" in record["counts"]["seen_sizes"]["seen"]
-    assert run("export", tmp_path / "thin", "--to", "nav2", "--out", tmp_path / "nav2").exit_code == 0
+    run("export", tmp_path / "thin", "--to", "nav2", "--out", tmp_path / "nav2", code=0)
     exported = json.loads((tmp_path / "nav2" / "datum.json").read_text())
     assert exported["seen"] == record["counts"]["seen_sizes"]["seen"]
     assert exported["seen"] in (tmp_path / "nav2" / "map.yaml").read_text()
@@ -265,8 +250,7 @@ def test_where_the_survey_is_too_thin_the_message_says_what_density_would_do(tmp
 def test_what_can_be_reached_is_a_raster_and_outlines_of_the_map_or_a_part(tmp_path):
     out = tmp_path / "reach"
     words = ["route", "layers", "--from", place(20.5, 8.5), "--out", out, "--overwrite"]
-    result = run(*words, "--isochrones", "0.5,1")
-    assert result.exit_code == 0, result.output
+    result = run(*words, "--isochrones", "0.5,1", code=0)
     assert "can be reached from the start" in result.stdout
     with rasterio.open(out / "reach.tif") as file:
         assert file.descriptions == ("cost", "minutes")
@@ -290,8 +274,7 @@ def out_files(folder):
 
 def test_one_scan(tmp_path):
     out = tmp_path / "out"
-    result = run("scan", "frame.ply", "--method", "filter", "--out", out)
-    assert result.exit_code == 0, result.output
+    result = run("scan", "frame.ply", "--method", "filter", "--out", out, code=0)
     rows = [line.split() for line in result.stdout.splitlines()]
     table = pq.read_table(out / "sectors.parquet").to_pydict()
     vertices = read_vertices(out / "frames" / "frame.ply")
@@ -312,7 +295,7 @@ def test_pictures_of_all_frames_or_of_every_nth_as_far_as_wanted(tmp_path):
     words = ("--method", "filter", "--set", "products=table", "--overwrite", "--out", tmp_path / "out", "--pictures")
     pictures = {}
     for more in ((), ("2",), ("1", "--set", "range_m=10")):
-        assert run("scan", tmp_path / "drive", *words, *more).exit_code == 0
+        run("scan", tmp_path / "drive", *words, *more, code=0)
         pictures[more] = {path.name: path.read_bytes() for path in (tmp_path / "out" / "frames").iterdir()}
     everyone, second, near = pictures.values()
     assert list(map(sorted, pictures.values())) == [["0.png", "1.png", "2.png"], ["0.png", "2.png"], sorted(everyone)]
@@ -326,8 +309,7 @@ def test_a_drive_for_machines(tmp_path):
         write_bin(drive / f"{number}.bin", scanned(seed=number))
     (tmp_path / "poses.txt").write_text("0 0 0 1 0 0 0 1\n1 1 0 1 0 0 0 1\n")
     words = ("--out", out, "--method", "filter", "--set", "products=table, cloud")
-    result = run("scan", drive, "--poses", tmp_path / "poses.txt", "--json", *words)
-    assert result.exit_code == 0, result.output
+    result = run("scan", drive, "--poses", tmp_path / "poses.txt", "--json", *words, code=0)
     record = json.loads(result.stdout)
     assert record["frames"] == 2
     assert record["points"] == sum(record["points_by_class"].values())
@@ -335,20 +317,17 @@ def test_a_drive_for_machines(tmp_path):
     assert Path(record["map"][0]) == out / "map" / "rasters" / "roughness.tif"
     assert {path.split("/")[0] for path in out_files(out)} == {*record["files"], "map"}
     assert list(dict.fromkeys(pq.read_table(out / "sectors.parquet")["frame"].to_pylist())) == ["2", "10"]
-    again = run("scan", drive, "--quiet", "--out", out)
-    assert (again.exit_code, "--overwrite" in again.stderr) == (3, True)
-    last = run("scan", drive, "--quiet", "--overwrite", *words)
-    assert (last.exit_code, last.output) == (0, "")
+    assert "--overwrite" in run("scan", drive, "--quiet", "--out", out, code=3).stderr
+    assert run("scan", drive, "--quiet", "--overwrite", *words, code=0).output == ""
     assert out_files(out) == ["frames/10.ply", "frames/2.ply", "scan.json", "sectors.parquet"]
 
 
 def test_a_bad_frame_among_others(tmp_path):
     bad, out = tmp_path / "bad.ply", tmp_path / "out"
     bad.write_bytes(b"ply\nnonsense")
-    assert run("scan", "frame.ply", bad, "--out", out, "--set", "threads=1").exit_code == 3
+    run("scan", "frame.ply", bad, "--out", out, "--set", "threads=1", code=3)
     assert not list(out.glob("[!.]*"))  # what is finished waits in a hidden folder
-    result = run("scan", "frame.ply", bad, "--out", out, "--skip-bad")
-    assert result.exit_code == 4
+    result = run("scan", "frame.ply", bad, "--out", out, "--skip-bad", code=4)
     assert "skipped frames: 1;" in result.stdout
     assert str(bad) in result.stderr
     assert "frames/frame.ply" in out_files(out)
@@ -388,8 +367,7 @@ def test_what_was_given_is_in_the_command_and_units_in_the_record(tmp_path):
 def test_quick_reads_no_points(tmp_path, monkeypatch):
     path = dense(tmp_path / "a.laz")
     monkeypatch.setattr(laspy.LasReader, "read_points", None)
-    result = run("info", path, "--quick")
-    assert result.exit_code == 0, result.output
+    result = run("info", path, "--quick", code=0)
     assert "900 according to the header" in result.output
     assert "26.8 pts/m2 in the header's extent" in result.output  # 900 / 5.8**2
 
@@ -401,8 +379,7 @@ def test_several_files_are_told_together_and_a_bad_one_is_an_error(tmp_path):
     assert "together: about 0% of the tiles will be unknown" in said
     assert f"one map: bumpymap map {tmp_path} --crs EPSG:32614 --out DIR" in said
     bad.write_bytes(bad.read_bytes()[:-50])
-    result = run("info", tmp_path)
-    assert result.exit_code == 3
+    result = run("info", tmp_path, code=3)
     assert re.search(f"ready, about .*: bumpymap map {good}", result.output)
     assert f"error: {bad}" in result.output
     record = json.loads(run("info", tmp_path, "--json").stdout)["files"][1]
@@ -419,8 +396,7 @@ def test_a_site_larger_than_one_map_is_told_before_and_refused_by_map(tmp_path, 
     assert "separate runs, whose rasters lie on one grid, or give larger tiles with --tile-size" in report
     assert json.loads(run("info", folder, *quick, "--json").stdout)["too_large"].startswith("the survey spans")
     assert json.loads(run("info", south, *quick, "--json").stdout)["too_large"] == ""
-    refused = run("map", folder, "--out", tmp_path / "out")
-    assert refused.exit_code == 3
+    refused = run("map", folder, "--out", tmp_path / "out", code=3)
     said = " ".join(refused.output.split())
     assert "the survey spans 0.0 km x 400.0 km" in said
     assert f"The files read are: {north}, {south}" in said

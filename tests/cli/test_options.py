@@ -19,13 +19,11 @@ def command(name):
     return found
 
 
-def names_in(name):
-    if not isinstance(command(name), click.Group):
-        return [name]
-    return [f"{name} {part}" for part in command(name).commands]
-
-
-COMMANDS = [name for first in main.list_commands(click.Context(main)) for name in names_in(first)]
+COMMANDS = [
+    " ".join(words)
+    for first in main.list_commands(click.Context(main))
+    for words in ([(first, part) for part in getattr(command(first), "commands", ())] or [(first,)])
+]
 
 
 def options(name):

@@ -18,12 +18,8 @@ onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
 helper = pytest.importorskip("onnx.helper")
 
 SURVEY = Path(__file__).resolve().parents[2] / "sample_data" / "quarry_part.ply"
-
-
 SWITCHES = {"CI", "ORT_DISABLE_TELEMETRY", "ORT_RUNNING_UNIT_TESTS"}
 """Variables that keep the telemetry off by themselves."""
-
-
 PROGRAM = [sys.executable, "-m", "bumpymap", "map", str(SURVEY), "--local", "--xy-unit", "m", "--quiet", "--out"]
 
 

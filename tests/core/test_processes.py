@@ -1,15 +1,26 @@
-"""Child processes, signals and memory: one clear error, nothing left running, no effects beside it."""
+"""Child processes, signals, memory and locked folders: one clear error, nothing left running or half-known."""
 
+import errno
+import fcntl
+import hashlib
+import json
 import os
+import re
 import signal
+import stat
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+from blake3 import blake3
 from hypothesis import given, settings, strategies as st
 
-from bumpymap.core import free_memory
+from bumpymap.core import free_memory, same_content
+from bumpymap.core.errors import OutputError
 from bumpymap.core.processes import Child, ChildDiedError, ChildError, SharedMemory
+from bumpymap.core.run_folder import LOCK, RunFolder, lock_for, locked, work_folder
+from bumpymap.readers import hash_survey
 
 
 @pytest.fixture
@@ -90,26 +101,30 @@ def hit(*_):
     os.kill(os.getpid(), signal.{name})
     for _ in range(10): pass  # the handler runs between two steps
 """
-
-
 LOST = {
     "in a finaliser": "class Dies:\n    __del__ = hit\nDies()",
     "in a callback of a weak reference": "class Dies: pass\none = Dies()\nref = weakref.ref(one, hit)\ndel one",
 }
-
-
 BODIES = [
     # A second signal does not break the clearing up; who insists is heard.
-    ("try:\n    hit()\nfinally:\n    hit()\n    print('cleared')", ["cleared", "Terminated"]),
+    ("try:\n    hit()\nfinally:\n    hit()\n    print('cleared')", 9, ["cleared", "Terminated"]),
     (
         "try:\n    hit()\nfinally:\n    hit()\n    hit()\n    print('deaf')\n    hit()\n    print('never')",
+        9,
         ["deaf", "Terminated"],
     ),
     # An error that a library makes of a signal is the signal.
-    ("try:\n    hit()\nexcept KeyboardInterrupt:\n    raise ImportError('initialization failed')", ["Terminated"]),
+    ("try:\n    hit()\nexcept KeyboardInterrupt:\n    raise ImportError('initialization failed')", 9, ["Terminated"]),
     (
         "with shielded():\n    with shielded():\n        hit()\n    print('whole')\nprint('never')",
+        9,
         ["whole", "Terminated"],
+    ),
+    # A forked child ends as any process does.
+    (
+        "child = os.fork()\nif not child:\n    hit()\nprint(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))",
+        0,
+        [str(-signal.SIGTERM)],
     ),
 ]
 
@@ -128,23 +143,16 @@ def test_a_signal_that_the_interpreter_loses_comes_again(name, word, where):
     assert ended(name, LOST[where] + "\nwhile True: pass") == (9, [word], "")
 
 
-@pytest.mark.parametrize(("body", "said"), BODIES)
-def test_a_signal_ends_a_run_once_and_lets_it_clear_up(body, said):
-    assert ended("SIGTERM", body) == (9, said, "")
+@pytest.mark.parametrize(("body", "code", "said"), BODIES)
+def test_a_signal_ends_a_run_once_and_lets_it_clear_up(body, code, said):
+    assert ended("SIGTERM", body) == (code, said, "")
 
 
 def test_a_run_that_is_over_leaves_signals_as_they_were():
-    code, said, error = ended(
-        "SIGTERM", "class Dies:\n    __del__ = hit\nDies()"
-    )  # lost, and over before it comes again
+    code, said, error = ended("SIGTERM", LOST["in a finaliser"])  # lost, and over before it comes again
     assert (code, said, error) in ((0, [], ""), (9, ["Terminated"], ""))
     done = said_by(BEGIN.format(name="SIGTERM") + "with interruptible(): pass\nhit()")
     assert (done.returncode, done.stderr) == (-signal.SIGTERM, "")
-
-
-def test_a_forked_child_ends_as_any_process_does():
-    body = "child = os.fork()\nif not child:\n    hit()\nprint(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))"
-    assert ended("SIGTERM", body) == (0, [str(-signal.SIGTERM)], "")
 
 
 def test_the_command_ends_without_a_word_before_it_listens(tmp_path):
@@ -161,13 +169,14 @@ SIZES = st.integers(0, 40_000)
 
 @settings(deadline=None, max_examples=60)
 @given(steps=st.lists(st.one_of(SIZES, st.tuples(SIZES)), max_size=40))
-def test_arrays_keep_their_content_until_they_are_dropped(steps):
+def test_arrays_keep_their_content_until_they_are_dropped_and_then_their_place_can_be_given_back(steps):
     """A size takes so many bytes; a size in a tuple drops one of those that are held."""
     memory, held = SharedMemory(), []
     for number, step in enumerate(steps):
         if isinstance(step, tuple):
             if held:
                 held.pop(step[0] % len(held))
+                memory.trim()
             continue
         part = memory.allocate(step)
         part.data[:] = number % 251
@@ -175,23 +184,12 @@ def test_arrays_keep_their_content_until_they_are_dropped(steps):
         held.append((part.data[:].reshape(-1)[: step // 2], number % 251))
     for data, value in held:
         assert (data == value).all()
-
-
-def test_place_is_used_again_and_trimming_takes_nothing_from_anyone():
-    memory = SharedMemory()
-    for _ in range(100):
-        part = memory.allocate(1 << 20)
-        part.data[:] = 1
-        del part
-    assert memory.size == 1 << 22
-    held = memory.allocate(4)
-    held.data[:] = 7
-    memory.trim()
-    assert held.data.tolist() == [7] * 4
-    del held
+    held = data = part = None
+    for _ in range(9):
+        memory.allocate(1 << 20)  # and dropped at once
+    assert memory.size < 9 << 20
     memory.trim()
     assert memory.size == 0
-    assert memory.allocate(5).data.size == 5
 
 
 def test_a_map_that_no_memory_is_left_for_leaves_the_one_that_is_there():
@@ -255,3 +253,145 @@ def test_a_machine_that_says_nothing_has_what_is_installed(monkeypatch, tmp_path
     assert (installed := free_memory()) is None or installed > 1 << 20
     monkeypatch.setattr("bumpymap.core.memory._PROC", tmp_path / "none")
     assert free_memory() == installed
+
+
+# ---- the folder of a run ----
+
+
+HOLD = """
+import sys
+from pathlib import Path
+from bumpymap.core.run_folder import locked
+with locked(Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def holder(tmp_path):
+    """Another process that holds the lock of ``out``."""
+    words = [sys.executable, "-c", HOLD, str(tmp_path / "out"), "a word"]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "held\n"
+        yield process
+        process.stdin.close()
+
+
+def test_the_loser_says_who_holds_it(tmp_path, holder):
+    out = tmp_path / "out"
+    before = (out / LOCK).read_bytes()
+    assert stat.S_IMODE((out / LOCK).stat().st_mode) == 0o600
+    with pytest.raises(OutputError) as refused, locked(out):
+        pass
+    said = str(refused.value)
+    assert re.search(rf"another run is writing to {re.escape(str(out))}: pid {holder.pid} on \S+ since \d\d\d\d-", said)
+    assert "'a word'" in said
+    assert "`out`" in said
+    assert (out / LOCK).read_bytes() == before
+
+
+def test_a_worker_holds_the_lock_in_the_name_of_the_command(tmp_path):
+    lock_for({"pid": 7, "command": "bumpymap batch flights"})
+    try:
+        with locked(tmp_path), pytest.raises(OutputError, match=r"pid 7 on .* since .*: bumpymap batch flights"):
+            locked(tmp_path).__enter__()
+    finally:
+        lock_for({})
+
+
+def test_the_lock_of_a_killed_run_holds_nobody_up(tmp_path, holder):
+    out = tmp_path / "out"
+    holder.kill()
+    holder.wait()
+    assert (out / LOCK).exists()
+    with locked(out):
+        assert json.loads((out / LOCK).read_text())["pid"] == os.getpid()
+    assert list(out.iterdir()) == []
+
+
+def test_a_lock_that_is_taken_away_by_its_holder_is_taken_anew(tmp_path, monkeypatch):
+    """The holder ends between the opening and the locking of the file: with its folder, or without."""
+    out = tmp_path / "out"
+    for ending in ((out / LOCK).unlink, lambda: ((out / LOCK).unlink(), out.rmdir())):
+        out.mkdir(exist_ok=True)
+        (out / LOCK).touch()
+        endings = [ending]
+        take = fcntl.flock
+
+        def late(descriptor, how, endings=endings, take=take):
+            if endings:
+                endings.pop()()
+            take(descriptor, how)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(fcntl, "flock", late)
+            with locked(out):
+                assert not endings
+                assert json.loads((out / LOCK).read_text())["pid"] == os.getpid()
+                with pytest.raises(OutputError, match=f"pid {os.getpid()}"), locked(out):
+                    pass
+    assert list(out.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["link", "dangling", "hard link", "pipe", "folder"])
+def test_what_is_no_lock_file_is_left_alone(tmp_path, kind):
+    out, other = tmp_path / "out", tmp_path / "other"
+    out.mkdir()
+    other.write_text("mine")
+    if kind == "folder":
+        (out / LOCK).mkdir()
+    elif kind == "pipe":
+        os.mkfifo(out / LOCK)
+    elif kind == "hard link":
+        os.link(other, out / LOCK)
+    else:
+        (out / LOCK).symlink_to(other if kind == "link" else tmp_path / "none")
+    with pytest.raises(OutputError, match="is not a lock file"), locked(out):
+        pass
+    assert other.read_text() == "mine"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["other", "out"]
+
+
+def test_a_disk_without_locks_takes_the_file_for_the_lock(tmp_path, monkeypatch):
+    def no_locks(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", no_locks)
+    out = tmp_path / "out"
+    with locked(out), pytest.raises(OutputError, match=rf"pid {os.getpid()}.*remove .*{LOCK}"), locked(out):
+        pass
+    with locked(out):
+        pass
+
+
+@pytest.mark.parametrize("spec", ['{"inputs": 5, "settings": {}, "made with": {}}', '{"settings": "x"}', "[1]", "{"])
+def test_a_damaged_run_spec_is_not_resumed(tmp_path, spec):
+    folder = work_folder(tmp_path)
+    folder.mkdir(mode=0o700)
+    (folder / "run_spec.json").write_text(spec)
+    now = {"inputs": {"a.las": {"size": 1}}, "settings": {"x": 1}, "made with": {}}
+    with RunFolder.opened(tmp_path, now, overwrite=False, finished=lambda _: True, advice="") as run:
+        assert not run.resumed
+
+
+# --- the checksum of a file ---
+PIECE = 1 << 20
+
+
+@pytest.mark.parametrize("size", [0, 1000, PIECE, 5 * PIECE + 12_345])
+def test_the_checksum_of_a_file_is_its_blake3(size, tmp_path):
+    data = np.random.default_rng(size).bytes(size)
+    (tmp_path / "a").write_bytes(data)
+    assert hash_survey(tmp_path / "a") == f"blake3:{blake3(data).hexdigest()}"
+
+
+def test_content_is_compared_by_the_method_of_the_record(tmp_path):
+    path, data = tmp_path / "site.las", np.random.default_rng(5).bytes(1005)
+    path.write_bytes(data)
+    here = {"size": len(data), "mtime_ns": "2"}
+    for name, digest in (("checksum", hash_survey(path)), ("sha256", hashlib.sha256(data).hexdigest())):
+        assert same_content(str(path), {"bytes": len(data), "mtime_ns": "1", name: digest}, here, hash_survey)
+        assert not same_content(str(path), {"mtime_ns": "1", name: digest[:-1] + "x"}, here, hash_survey)
+    for known in ({"checksum": "other:12"}, {"checksum": None}, {}):
+        assert not same_content(str(path), {"mtime_ns": "1", **known}, here, hash_survey)

@@ -9,21 +9,30 @@ from dataclasses import fields
 from pathlib import Path
 
 import click
+import numpy as np
 import pytest
+from classed_site import scan_fixture  # noqa: F401 (found by pytest)
 from made_drives import write_drive
+from route_maps import write_folder
 
 import bumpymap
 from bumpymap.cli import main
 from bumpymap.core import BANDS, UsageError
 from bumpymap.core.config import MapConfig
 from bumpymap.core.settings import read_settings_file
+from bumpymap.core.types import BARRED_TEXT, CLASS_NAMES, OBJECT_NAMES, REASON_TEXT
 from bumpymap.lab import calibration_jobs
 from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.layers import SurveyRow
+from bumpymap.layers.colours import CLASS_COLOURS
+from bumpymap.layers.placement import MAX_PIXELS, MAX_TILES
 from bumpymap.layers.scan_files import COLUMNS
+from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
 from bumpymap.rating import Vehicle
 from bumpymap.readers import parse_columns
 from bumpymap.readers.drive_signals import NAMES, QUANTITIES, UNITS
+from bumpymap.scan.config import SCAN_PRODUCTS, ScanConfig
+from bumpymap.scan.pipeline import scan_frames
 from bumpymap.survey.batch.source import read_table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -187,7 +196,10 @@ def test_the_python_of_the_page_runs(part, site_layers, tmp_path, monkeypatch):
     (tmp_path / "sample_data").symlink_to(ROOT / "sample_data")
     for name in ("site_layers", "may_layers", "june_layers"):
         (tmp_path / name).symlink_to(site_layers.folder)
-    write_drives(tmp_path)
+    rows = [line.split(",") for line in write_drive(tmp_path / "monday.csv").read_text("utf-8").splitlines()]
+    for name, columns in (("imu.csv", slice(0, 7)), ("gnss.csv", slice(7, None))):
+        lines = [",".join([row[0], *row[columns][columns.start == 0 :]]) for row in rows]
+        (tmp_path / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     calls = API.index("\n## Map a survey\n")
     blocks = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL).finditer(API)
@@ -198,14 +210,6 @@ def test_the_python_of_the_page_runs(part, site_layers, tmp_path, monkeypatch):
     assert names
     if part == "notebook":
         check_notebook(names, matplotlib.image.imread(tmp_path / "notebook.png"))
-
-
-def write_drives(folder):
-    """Write a drive of 40 m over the survey as one file, and as one for each sensor."""
-    rows = [line.split(",") for line in write_drive(folder / "monday.csv").read_text("utf-8").splitlines()]
-    for name, columns in (("imu.csv", slice(0, 7)), ("gnss.csv", slice(7, None))):
-        lines = [",".join([row[0], *row[columns][columns.start == 0 :]]) for row in rows]
-        (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def check_notebook(names, picture):
@@ -219,3 +223,61 @@ def check_notebook(names, picture):
     assert set(names["scan"].sector_class.tolist()) > {0, 255}
     assert picture.shape[:2] == (400, 1200)
     assert len({tuple(pixel) for pixel in picture[::4, ::4].reshape(-1, 4).tolist()}) > 50
+
+
+# ---- files, GIS and scans ----
+
+
+FILES, GIS, SCANS = (text_of(f"{name}.md") for name in ("files", "gis", "scans"))
+
+
+def blocks(page, language="python"):
+    return re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def made_map(tmp_path_factory, cost_map):
+    return write_folder(tmp_path_factory.mktemp("docs") / "OUT", cost_map).parent
+
+
+@pytest.fixture(scope="module")
+def made_scan(tmp_path_factory, scan):
+    folder = tmp_path_factory.mktemp("docs")
+    (folder / "drive").mkdir()
+    np.column_stack([scan.points, scan.intensity]).astype("<f4").tofile(folder / "drive" / "NAME.bin")
+    (folder / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
+    scan_frames(ScanConfig((folder / "drive",), folder / "OUT", poses=folder / "poses.txt"))
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("made", "snippet"),
+    [(made, text) for made, page in (("made_map", FILES + GIS), ("made_scan", SCANS)) for text in blocks(page)],
+)
+def test_snippet_runs(request, monkeypatch, made, snippet):
+    monkeypatch.chdir(request.getfixturevalue(made))
+    names = {}
+    exec(compile(snippet, "snippet", "exec"), names)  # noqa: S102 (our own page)
+    assert any(not name.startswith("__") for name in names)
+
+
+def test_tables_say_what_the_code_writes():
+    for value, name in enumerate(CLASS_NAMES):
+        assert f"| {value} | {name} | `#{bytes(CLASS_COLOURS[value][:3]).hex()}` |" in FILES
+    for names in (REASON_TEXT, BARRED_TEXT, dict(enumerate(OBJECT_NAMES))):
+        for value, text in names.items():
+            assert f"| {int(value)} | {text} |" in FILES
+    assert f"{MAX_TILES:,} tiles" in FILES
+    assert f"{MAX_PIXELS:,} heightmap pixels" in FILES
+    for name, colour in zip((*SCAN_CLASS_NAMES[:3], "obstacle", "not ground"), SCAN_COLOURS, strict=True):
+        assert f"| {name} | `#{bytes(colour).hex()}` |" in SCANS
+    assert ", ".join(f"`{product}`" for product in SCAN_PRODUCTS) in SCANS
+
+
+def test_the_settings_of_the_page_of_scans_are_settings(tmp_path):
+    (text,) = blocks(SCANS, "toml")
+    (tmp_path / "a.toml").write_text(text)
+    config = ScanConfig(**read_settings_file(tmp_path / "a.toml", ScanConfig))
+    assert config.polar == ScanConfig((), tmp_path).polar
+    assert config.robot.box_m == (-1.2, 0.4, -0.5, 0.5)

@@ -3,8 +3,8 @@
 ``python tests/fuzz/fuzz_readers.py --minutes 60 --seed 1`` damages valid surveys and prints what became of them;
 ``--inputs 3000`` ends after so many. What the readers cannot deal with is made small and kept in ``seeds/``. The same
 seed gives the same inputs, as far as it gets in the time. Each input has one verdict, of a process of its own under
-limits of memory and time: with ``--judge FOLDER`` it reads a JSON string a line, the path of an input, and writes one.
-The damage is a list of edits, which can be shortened one by one: that is how a finding becomes small.
+limits of memory and time. The damage is a list of edits, which can be shortened one by one: that is how a finding
+becomes small.
 """
 
 import argparse
@@ -19,7 +19,8 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import astuple, dataclass
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,8 +29,7 @@ import numpy as np
 sys.path.append(str(Path(__file__).resolve().parents[1] / "hostile"))
 
 from corpus.files import bases, number_fields
-from corpus.runner import MEMORY, Lines
-from driver import serve, text_said
+from corpus.runner import Child, text_said
 
 import bumpymap
 from bumpymap.core.errors import BumpymapError
@@ -69,20 +69,20 @@ class Judge:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._lines = Lines([Path(__file__), "--judge", folder], 4.0 * _SECONDS, {}, folder / "said")
-        self.close = self._lines.close
+        self._child = Child(partial(warm, folder), answer, 4.0 * _SECONDS, folder / "said")
+        self.close = self._child.close
 
     def verdict(self, name: str, data: bytes) -> Verdict:
         """Judge an input; a process that dies is the verdict of the input that it died of."""
         path = self._folder / name
         path.write_bytes(data)
-        answer = self._lines.ask(str(path))
+        found = self._child.ask(path)
         path.unlink()
-        if answer is not None:
-            return Verdict(**answer)
-        said = self._lines.said.read_text(encoding="utf-8", errors="replace")
-        kind = "hang" if self._lines.ended.startswith(("no answer", "SIGPROF")) else "died"
-        return Verdict(kind, f"{self._lines.ended} {_gist(said)}", said[-2000:])
+        if found is not None:
+            return Verdict(*found)
+        said = self._child.said.read_text(encoding="utf-8", errors="replace")
+        kind = "hang" if self._child.ended.startswith(("no answer", "SIGPROF")) else "died"
+        return Verdict(kind, f"{self._child.ended} {_gist(said)}", said[-2000:])
 
 
 def read_whole(path: Path) -> Verdict:
@@ -138,15 +138,15 @@ def warm(folder: Path) -> None:
         warnings.simplefilter("always", category)
 
 
-def answer(path: str) -> dict[str, str]:
+def answer(path: Path) -> tuple[str, str, str]:
     """Judge the input at a path, in this process."""
     signal.setitimer(signal.ITIMER_PROF, _SECONDS)
-    verdict = read_whole(Path(path))
+    verdict = read_whole(path)
     signal.setitimer(signal.ITIMER_PROF, 0)
     noise = text_said()[:4000]
     if noise and not verdict.is_fault:
         verdict = Verdict("noise", _gist(noise), noise)
-    return asdict(verdict)
+    return astuple(verdict)
 
 
 # ---- damage: a valid survey and a list of edits, each "these bytes instead of those" ----
@@ -271,11 +271,7 @@ def main():
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--inputs", type=int, default=10**9, help="end after so many")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--judge", type=Path, metavar="FOLDER", help="judge inputs instead; FOLDER is scratch")
     given = parser.parse_args()
-    if given.judge:
-        serve(lambda: warm(given.judge), answer, MEMORY)
-        return 0
     with tempfile.TemporaryDirectory() as scratch:
         judge = Judge(Path(scratch))
         try:

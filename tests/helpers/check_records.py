@@ -7,6 +7,7 @@ import numpy as np
 
 from bumpymap.check.pipeline import agreement_of
 from bumpymap.core import NO_CLASS, CheckedDrive, CheckedMap, CheckResult, DrivenStretches
+from bumpymap.layers import open_map
 
 LIMITS = (0.05, 0.13, 0.3)
 STRETCH_M = 10.0
@@ -90,3 +91,12 @@ def made_up_check(n=40, *, bias=1.0, noise=0.1, seed=5, drives=1, **options):
     factor = bias * np.exp(noise * rng.standard_normal(n))
     unknown = options.pop("unknown", ())
     return make_check(stretches_at(points, c_r, factor, drives=drives, unknown=unknown), drives=drives, **options)
+
+
+def on_site(result, site):
+    """Lay the stretches of a check over the layers in a folder; gives the check and the map."""
+    ground, n = open_map(site), len(result.stretches.drive)
+    bounds, part = ground.grid.window_bounds(ground.window), np.linspace(0.1, 0.9, n)
+    easting = bounds.west + part * (bounds.east - bounds.west)
+    northing = bounds.south + part * (bounds.north - bounds.south)
+    return replace(result, stretches=replace(result.stretches, easting=easting, northing=northing)), ground

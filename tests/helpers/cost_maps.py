@@ -1,4 +1,4 @@
-"""A made-up map: every class, every reason, gaps without rows, heights with holes."""
+"""A made-up map: every class, every reason, gaps without rows, heights with holes; and the regions of small maps."""
 
 from dataclasses import fields, is_dataclass, replace
 
@@ -7,6 +7,8 @@ from pyproj import CRS
 
 from bumpymap.core import CANOPY, FREE, OBSTACLE, SIDES, UNSEEN, CostTable, ObjectStack
 from bumpymap.core.types import NO_CLASS, CostMap, CostRule, Georeference, PatchStack, Reason, TextureMap
+from bumpymap.layers.regions import dissolve
+from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
 from bumpytiles import Grid, TileTable
 
 UTM = CRS.from_epsg(32614)
@@ -136,3 +138,20 @@ def with_objects(cost_map, seed=9):
     bare = ObjectStack.empty(tiles, pixels)
     stack = replace(bare, objects=objects, obstacle=share, obstacle_height=height, canopy=canopy.astype(np.float32))
     return replace(cost_map, objects=stack)
+
+
+def regions_of(cost_map):
+    """Regions of a small map, which come at once."""
+    (regions,) = dissolve(table_of(cost_map))
+    return regions
+
+
+def write_geojson(regions, path, *, local, about=None):
+    place = GeoJsonCoordinates.of(regions.placement, local=local)
+    with geojson_writer(path, place, about) as add:
+        add(regions)
+
+
+def write_flatgeobuf(regions, path):
+    with flatgeobuf_writer(path, regions.placement) as add:
+        add(regions)

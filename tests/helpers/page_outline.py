@@ -1,8 +1,13 @@
 """What a page holds: tables, ids and attributes; elements that do not nest are an error."""
 
 import html.parser
+import json
 import re
+import zlib
+from base64 import b64decode
 from collections import defaultdict
+
+import numpy as np
 
 VOID = {"meta", "img", "input", "br"}
 
@@ -52,6 +57,36 @@ class Outline(html.parser.HTMLParser):
             self.caption += data
         elif self.cells and self.cells[-1] and self.open[-1] in {"td", "th"}:
             self.cells[-1][-1] += data
+
+
+class ReadPage:
+    """What a page holds, read as a browser would."""
+
+    def __init__(self, path):
+        self.text = path.read_text(encoding="utf-8")
+        self.data = json.loads(
+            re.search(r'<script type="application/json" id="report-data">(.*?)</script>', self.text)[1]
+        )
+
+    def codes(self, name, at=0):
+        about = self.data["maps"][at]
+        return self.bytes_of(about[name], about)
+
+    def objects(self):
+        about = self.data["maps"][0]["objects"]
+        return self.bytes_of(about["codes"], about)
+
+    @staticmethod
+    def bytes_of(text, about):
+        return np.frombuffer(zlib.decompress(b64decode(text)), np.uint8).reshape(about["rows"], about["cols"])
+
+    def values(self, key, at=0):
+        about = self.data["maps"][at]
+        (grid,) = [grid for grid in about["grids"] if grid["key"] == key]
+        codes = self.bytes_of(grid["codes"], about).astype(float)
+        plain = grid["low"] + grid["step"] * codes
+        values = {"log": np.exp, "root": lambda root: root * np.abs(root)}.get(grid["scale"], np.array)(plain)
+        return np.where(codes == 255, np.nan, values), grid
 
 
 def require_no_requests(text):

@@ -1,6 +1,7 @@
-"""Made-up maps for tests of routes: folders as a run leaves them, and maps without files."""
+"""Made-up maps for tests of routes: folders as a run leaves them, maps without files, a site with a wall and a gap."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from shutil import copytree
 
@@ -9,10 +10,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import rasterio
-from cost_maps import table_of
-from pyproj import CRS
+from cost_maps import make_map, table_of
+from pyproj import CRS, Transformer
 
-from bumpymap.core import CostRule, Georeference, RouteVehicle
+from bumpymap.core import NO_CLASS, CostRule, Georeference, Reason, RouteVehicle, TextureMap
 from bumpymap.layers import MapReader, describe_file, write_products
 from bumpymap.views import write_map_views
 from bumpytiles import Grid, TileWindow
@@ -94,4 +95,37 @@ def bare_map(window=None, *, crs=UTM, unit=1.0):
         georeference=Georeference(crs, unit),
         rule=RULE,
         vehicle=RouteVehicle("warthog", 1.38, 1.0),
+    )
+
+
+ROWS, COLS = 24, 30
+WEST, SOUTH = 160_000, 712_000
+TO_DEGREES = Transformer.from_crs("EPSG:32614", "EPSG:4326", always_xy=True)
+
+
+def place(row, col):
+    """Easting and northing of field coordinates, as text."""
+    return f"{(WEST + col) * 3.0},{(SOUTH + ROWS - row) * 3.0}"
+
+
+def lonlat(row, col):
+    lon, lat = TO_DEGREES.transform((WEST + col) * 3.0, (SOUTH + ROWS - row) * 3.0)
+    return f"{lon:.9f},{lat:.9f}"
+
+
+def site(*, seed=1):
+    """A wall of steep ground in the middle, with a gap in the north; a patch of unknown ground in the south-west."""
+    row, col = (index.ravel() for index in np.mgrid[0:ROWS, 0:COLS])
+    unknown = (row > 18) & (col < 5)
+    reason = np.where(unknown, Reason.TOO_FEW_POINTS, Reason.OK)
+    class_id = np.where(unknown, NO_CLASS, 0)
+    made = make_map(WEST + col, SOUTH + ROWS - 1 - row, class_id, reason, grid=Grid(3.0, 4), seed=seed, easy=True)
+    wall = (col == 15) & (row > 2)
+    slope = np.where(wall, 60.0, 2.0)
+    c_r = np.where(unknown, np.nan, 0.1 + 0.05 * (seed - 1)).astype(np.float32)
+    p_fail = np.where(unknown, np.nan, 0.01).astype(np.float32)
+    patches = replace(made.patches, slope=slope)
+    nothing = TextureMap.unknown(len(col))
+    return replace(
+        made, patches=patches, textures=nothing, c_r=c_r, c_r_low=c_r * 0.8, c_r_high=c_r * 1.2, p_fail=p_fail
     )

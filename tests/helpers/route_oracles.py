@@ -99,16 +99,10 @@ def reach_by_graph(cost, moves, margin, tile):
     return dijkstra(move_graph(cost, moves, margin), indices=tile[0] * cols + tile[1]).reshape(rows, cols)
 
 
-def closed_squares(cost):
-    """Closed tiles of the window as polygons; x to the east, y to the south."""
-    r, c = np.nonzero(~np.isfinite(cost))
-    return shapely.box(c, r, c + 1, r + 1)
-
-
 def gap_to_closed(cost, line):
     """Least distance of a line to closed tiles of the window."""
-    path = shapely.LineString(np.asarray(line)[:, ::-1])
-    return float(shapely.distance(path, closed_squares(cost)).min(initial=np.inf))
+    path, (row, col) = shapely.LineString(np.asarray(line)[:, ::-1]), np.nonzero(~np.isfinite(cost))
+    return float(shapely.distance(path, shapely.box(col, row, col + 1, row + 1)).min(initial=np.inf))
 
 
 def cheapest_on_pixels(cost, start, goal, pixel):

@@ -126,22 +126,9 @@ HERE = Place()
 def survey_scene(scene, density, *, noise=0.0, classified=True, sides=False, place=HERE, seed=0, margin=0.0):
     """Survey a scene from straight above.
 
-    Parameters
-    ----------
-    scene : Scene
-    density : float
-        Pulses per m2.
-    noise : float
-        Standard deviation of points along each axis, m.
-    classified : bool
-        Otherwise all points have class 1.
-    sides : bool
-        Whether some pulses lean, so that the sides of solids return points too.
-    place : Place
-        Where on the map the scene lies.
-    seed : int
-    margin : float
-        Level ground around the scene that is surveyed too, m.
+    ``density``: pulses per m2; ``noise``: standard deviation of points along each axis, m; ``classified``: else all
+    points have class 1; ``sides``: some pulses lean, so that the sides of solids return points too; ``place``: where on
+    the map the scene lies; ``margin``: level ground around the scene that is surveyed too, m.
     """
     rng = np.random.default_rng((seed, 77))
     half = scene.half + margin
@@ -176,21 +163,10 @@ class TruePixels(NamedTuple):
 
 
 def true_pixels(scene, west, south, pixels, *, place=HERE, high=1.38, tolerance=0.4):
-    """Return what is true of a square of pixels.
+    """Return what is true of a square of ``pixels`` along a side, whose south-west corner is ``west``, ``south``, m.
 
-    Parameters
-    ----------
-    scene : Scene
-    west, south : float
-        Its south-west corner, m.
-    pixels : int
-        Along a side.
-    place : Place
-        As surveyed.
-    high : float
-        Height from 0.25 m to which a solid is in the way, m.
-    tolerance : float
-        Pixels closer to a solid than this may be called closed, m.
+    ``place``: as surveyed; ``high``: height from 0.25 m to which a solid is in the way, m; ``tolerance``: pixels closer
+    to a solid than this may be called closed, m.
     """
     axis = (np.arange(pixels) + 0.5) * PIXEL_M
     x, y = place.in_scene(*np.meshgrid(west + axis, (south + axis)[::-1]))

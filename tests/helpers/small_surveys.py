@@ -1,10 +1,16 @@
-"""Small LAS and LAZ surveys, good ones and broken ones; pictures that are none."""
+"""Small surveys, good ones and broken ones; pictures that are none; layers that say the same of the survey."""
 
+import shutil
 import struct
 import zlib
+from contextlib import contextmanager
 
 import laspy
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import rasterio
 from click.testing import CliRunner
 from pyproj import CRS
 
@@ -15,9 +21,24 @@ SIDES = tuple(f"rasters/{name}.tif.aux.xml" for name in ("barred", "class", "obs
 """Files of a map that GDAL looks for: names, colours and counts of the values of a raster."""
 
 
-def run(*arguments):
-    """Call bumpymap with words, paths and numbers."""
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+def run(*arguments, code=None):
+    """Call bumpymap with words, paths and numbers; it must end with the exit code that is given."""
+    done = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    assert code in {None, done.exit_code}, (done.output, done.exception)
+    return done
+
+
+def killed_at(place, left, *words):
+    """Map until a place of bumpymap is reached, and leave in a folder what a kill then leaves."""
+    out = left.with_name(f"{left.name} killed")
+
+    def killed(*_, **__):
+        shutil.copytree(out, left)
+        raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(f"bumpymap.{place}", killed)
+        run("map", *words, "--out", out, code=130)
 
 
 def files_in(folder):
@@ -28,6 +49,12 @@ def files_in(folder):
 def layers_of(folder):
     """Bytes of every layer but run.json, which says when it was made."""
     return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
+
+
+def band(path, name=None):
+    """The first band of a raster, or the one of that name."""
+    with rasterio.open(path) as file:
+        return file.read(file.descriptions.index(name) + 1 if name else 1)
 
 
 def write_las(path, x, y, z, *, crs="EPSG:32614", offset=(500_000, 4_000_000, 0), scales=(0.001,) * 3, **columns):
@@ -71,3 +98,25 @@ def write_bomb(path):
     jpeg = b"\xff\xd8" + frame + b"\xff\xda\0\x0c\x03\x01\0\x02\0\x03\0\0\x3f\0" + bytes(9) + b"\xff\xd9"
     path.write_bytes(jpeg if path.suffix == ".jpg" else b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
     return path
+
+
+ALIKE = {"name": "survey", "checksum": "blake3:0", "dates": None}
+
+
+@contextmanager
+def alike_surveys():
+    """Name, checksum and dates of all surveys mapped in this process meanwhile are ``ALIKE``."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bumpymap.survey.run_record.survey_record", lambda *_: ALIKE)
+        yield
+
+
+def tiles_without_survey(path):
+    """Bytes of all columns and metadata of a tiles.parquet but what names the survey, for runs of other processes."""
+    table = pq.read_table(path)
+    metadata = {key: value for key, value in table.schema.metadata.items() if not key.startswith(b"survey")}
+    assert len(metadata) < len(table.schema.metadata)
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema.with_metadata(metadata)) as stream:
+        stream.write_table(table.replace_schema_metadata(metadata))
+    return sink.getvalue().to_pybytes()

@@ -1,4 +1,4 @@
-"""One survey in every format that is read."""
+"""One survey in every format that is read; what a reader gives of it, joined."""
 
 import las_files
 import numpy as np
@@ -44,3 +44,22 @@ def write_kind(kind, folder, points):
     path = folder / {"las": "a.las", "laz": "a.laz", "copc": "a.copc.laz"}[kind]
     path.write_bytes(las_files.octree(data) if kind == "copc" else data)
     return path
+
+
+def batches_of(reader, points=500_000, order=None):
+    """Chunks of a reader as batches, in the order given, or in their own."""
+    chunks = reader.chunks(points)
+    chosen = chunks if order is None else [chunks[i] for i in order]
+    return [reader.convert(chunk, reader.fetch(chunk)) for chunk in chosen]
+
+
+def table_of(clouds):
+    """Easting, northing, upward and kind of the points that count, (n, 4)."""
+    tables = [np.column_stack([cloud.easting, cloud.northing, cloud.upward, cloud.kind]) for cloud in clouds]
+    return np.concatenate([np.zeros((0, 4)), *tables])
+
+
+def read_points(reader, points=1_000_000):
+    """All points that count, (n, 3) in metres, and which are ground."""
+    clouds = list(reader.clouds(points))
+    return table_of(clouds)[:, :3], np.concatenate([np.zeros(0, bool), *(cloud.is_ground for cloud in clouds)])

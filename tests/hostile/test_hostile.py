@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 import pytest
-from alike_surveys import tiles_without_survey
 from corpus import PLACES, Case, hostile_files, odd_place
 from corpus.files import bases, cloud, las_file, layout_of, patched, utm
 from corpus.runner import MEMORY, Runner
-from small_surveys import layers_of
+from fuzz_readers import SEEDS, Judge
+from small_surveys import layers_of, tiles_without_survey
 
 from bumpymap.core import escape_controls
 
@@ -70,13 +70,6 @@ def faults_of_refusal(outcome, shown):
     return faults
 
 
-def cases():
-    """All files; but one in twenty only comes later."""
-    for number, case in enumerate(FILES):
-        later = [pytest.mark.later] if number % 20 else []
-        yield pytest.param(case, id=case.name, marks=later)
-
-
 @pytest.mark.parametrize("name", bases())
 def test_what_the_damage_starts_from_is_whole(runner, tmp_path, name):
     path = tmp_path / name
@@ -86,7 +79,13 @@ def test_what_the_damage_starts_from_is_whole(runner, tmp_path, name):
     assert json.loads((tmp_path / "out" / "run.json").read_text())["counts"]["points"] == 400
 
 
-@pytest.mark.parametrize("case", list(cases()))
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(case, id=case.name, marks=[pytest.mark.later] if number % 20 else [])
+        for number, case in enumerate(FILES)
+    ],
+)
 def test_hostile_file(runner, tiles_of, tmp_path, case: Case):
     path, out = tmp_path / case.name, tmp_path / "out"
     path.write_bytes(case.data)
@@ -162,3 +161,20 @@ def test_bad_files_and_one_that_breaks_in_its_middle_are_skipped_and_leave_no_po
     assert set(record["skipped"]) == {str(folder / name) for name in bad}
     assert all(path in message for path, message in record["skipped"].items())
     assert [entry["path"] for entry in record["inputs"]] == [str(folder / "good.las")]
+
+
+# ---- what the fuzzer found stays mended ----
+
+
+@pytest.fixture(scope="module")
+def judge(tmp_path_factory):
+    made = Judge(tmp_path_factory.mktemp("seeds"))
+    yield made
+    made.close()
+
+
+@pytest.mark.later
+@pytest.mark.parametrize("seed", sorted(SEEDS.iterdir()), ids=lambda seed: seed.name)
+def test_what_the_fuzzer_found_is_read_or_refused_with_one_message(judge, seed):
+    verdict = judge.verdict(seed.name, seed.read_bytes())
+    assert not verdict.is_fault, verdict.where

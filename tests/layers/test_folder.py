@@ -1,4 +1,4 @@
-"""The folder of a map: all files or none, nothing replaced that was not meant, no link followed; and its manifest."""
+"""Folders of maps: all files or none, no link followed; of those of others nothing is read but their own files."""
 
 import hashlib
 import json
@@ -6,27 +6,35 @@ import os
 import resource
 import subprocess
 import sys
+import threading
 from contextlib import contextmanager, nullcontext
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as pq
 import pyogrio
 import pytest
 import rasterio
-from cost_maps import table_of
-from region_files import regions_of, write_flatgeobuf, write_geojson
-from route_maps import RUN
+import shapely
+from cost_maps import make_field, regions_of, table_of, write_flatgeobuf, write_geojson
+from made_drives import MadeDrive, log_of, write_table
+from pyproj import CRS
+from route_maps import RUN, bare_map, copy_folder, list_anew, write_folder
 from small_surveys import SIDES, files_in
 
+from bumpymap.api import open_layers
+from bumpymap.change import diff_surveys
+from bumpymap.check import check_drives
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.files import atomic, write_together
-from bumpymap.layers import check_extent, check_folder, write_products
+from bumpymap.layers import check_extent, check_folder, open_map, read_areas, read_points, write_products
 from bumpymap.layers.geotiff import write_raster
 from bumpymap.layers.manifest import describe_file, describe_input, software_versions
 from bumpymap.layers.placement import MAX_TILES
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES, MapFile
 from bumpymap.layers.tile_table import write_tiles
-from bumpymap.views import write_map_views
+from bumpymap.views import ExportSettings, export_map, write_map_views, write_report
 from bumpytiles import Grid, TileWindow
 
 TOP = {
@@ -34,7 +42,7 @@ TOP = {
     *("run.json", "item.json", "rasters"),
 }
 """What a newcomer finds when he opens the folder of a map: at most a dozen entries."""
-RUN = RUN | {"seconds": {"read": 1.5}}
+TIMED_RUN = RUN | {"seconds": {"read": 1.5}}
 
 
 def texts_in(folder):
@@ -47,12 +55,12 @@ def fill(folder, files):
         (folder / name).write_text(text)
 
 
-def write(cost_map, folder, *, local=False, manifest=RUN):
+def write_map(cost_map, folder, *, local=False, manifest=TIMED_RUN):
     return write_products(table_of(cost_map), folder, views=write_map_views, local=local, manifest=manifest)
 
 
 def test_all_files_of_a_run(tmp_path, cost_map):
-    paths, summary = write(cost_map, tmp_path)
+    paths, summary = write_map(cost_map, tmp_path)
     assert summary.tiles == len(cost_map.class_id)
     assert paths == [tmp_path / name for name in (*PRODUCT_NAMES, *VIEW_NAMES)]
     assert {path.name for path in tmp_path.iterdir()} == TOP
@@ -87,7 +95,7 @@ def said_by_layers(folder):
 def test_every_layer_says_which_survey_vehicle_and_version_made_it(tmp_path, cost_map):
     about = {"name": "Grünfläche <1> & 2", "checksum": "blake3:ab", "dates": ["2024-05-01", "2024-05-03"]}
     calibration = RUN["calibration"] | {"class_limits": (0.111, 0.25, 0.4)}
-    write(cost_map, tmp_path, manifest=RUN | {"survey": about, "calibration": calibration})
+    write_map(cost_map, tmp_path, manifest=RUN | {"survey": about, "calibration": calibration})
     found = said_by_layers(tmp_path)
     assert set(found) == set(PRODUCT_NAMES) - {"item.json", "run.json"}  # these say more, see their own tests
     wanted = {
@@ -130,7 +138,7 @@ def test_a_folder_of_rasters_that_is_a_link_is_refused(tmp_path, cost_map):
         with pytest.raises(OutputError, match="rasters is a link or no folder, and was not touched"):
             check_folder(out, overwrite=overwrite)
     with pytest.raises(OutputError, match="Nothing was replaced"):  # one that was put there later
-        write(cost_map, out)
+        write_map(cost_map, out)
     assert texts_in(mine) == {"class.tif": "mine"}
     assert [path.name for path in out.iterdir()] == ["rasters"]
 
@@ -184,7 +192,7 @@ ALONE = {
 @pytest.mark.slow
 @pytest.mark.parametrize("small", [True, False])
 @pytest.mark.parametrize("product", ALONE)
-def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, make_field, monkeypatch, product, small):
+def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, monkeypatch, product, small):
     if not small:  # what large layers do
         monkeypatch.setattr("bumpymap.layers.vector.IN_MEMORY", 0)
         monkeypatch.setattr("bumpymap.layers._cog.SMALL", 0)
@@ -246,3 +254,217 @@ def test_inputs_get_a_checksum_if_they_are_unchanged(tmp_path, monkeypatch):
     monkeypatch.setattr(hashlib, "file_digest", grow)
     with pytest.raises(BadInputError, match="changed while"):
         describe_file(survey)
+
+
+# ---- folders that somebody else made: nothing is fetched or read but their own files, each as it was written ----
+
+
+SMALL = Grid(3.0, 5)
+
+VRT = """<VRTDataset rasterXSize="60" rasterYSize="50"><GeoTransform>480000,0.6,0,2136030,0,-0.6</GeoTransform>
+<VRTRasterBand dataType="Float32" band="1"><SimpleSource><SourceFilename relativeToVRT="0">{}</SourceFilename>
+<SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>"""
+OGR_VRT = """<OGRVRTDataSource><OGRVRTLayer name="a"><SrcDataSource>/vsicurl/{}</SrcDataSource></OGRVRTLayer>
+</OGRVRTDataSource>"""
+
+
+@pytest.fixture(name="server")
+def serve():
+    """A URL of this machine, and the paths that were asked for."""
+    asked = []
+
+    class Handler(BaseHTTPRequestHandler):
+        def parse_request(self):
+            asked.append(self.raw_requestline)
+            return False
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}", asked
+        server.shutdown()
+
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory):
+    made = make_field(12, 10, grid=SMALL, easy=True)
+    return write_folder(tmp_path_factory.mktemp("one") / "map", made)
+
+
+def report(folder, out):
+    write_report(folder, out / "page.html")
+
+
+def export(folder, out):
+    export_map(open_map(folder), out / "grids", ExportSettings("nav2"))
+
+
+def bag(folder, out):
+    export_map(open_map(folder), out / "bag", ExportSettings("gridmap"))
+
+
+def diff(folder, out):
+    diff_surveys(folder, folder, out / "diff")
+
+
+def relief(folder, _):
+    site = open_map(folder)
+    site.heights(site.window)
+    site.relief(site.window, (5, 6))
+
+
+def check(folder, out):
+    log = log_of(MadeDrive(seconds=60.0, noise=0.01))[0]
+    check_drives(folder, write_table(out / "drive.csv", log, (330_005.0, 2_040_012.0)))
+
+
+def dataset(folder, _):
+    layers = open_layers(folder)
+    repr(layers)
+    layers.heights().load()
+    layers.dataset().load()
+
+
+def tables(folder, _):
+    layers = open_layers(folder)
+    layers.tiles()
+    layers.regions()
+
+
+def virtual(path, aim):
+    path.write_text(VRT.format(aim))
+
+
+def tagged(path, aim):
+    with rasterio.open(path, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as file:
+        file.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=aim)
+
+
+def beside(path, aim):
+    text = f'<PAMDataset><Metadata domain="OVERVIEWS"><MDI key="OVERVIEW_FILE">{aim}</MDI></Metadata></PAMDataset>'
+    path.with_name(f"{path.name}.aux.xml").write_text(text)
+    path.with_name(f"{path.name}.ovr").write_text(VRT.format(aim))
+
+
+READERS = (report, export, diff, relief, dataset, check)
+PLANTS = [
+    *((plant, read) for plant in (virtual, beside) for read in READERS),
+    *((tagged, read) for read in READERS if read is not check),
+]
+
+
+@pytest.mark.parametrize(("plant", "read"), PLANTS)
+def test_a_folder_of_layers_leads_nowhere_else(one, server, tmp_path, plant, read):
+    url, asked = server
+    folder = copy_folder(one, tmp_path / "map")
+    for name in ("rasters/heightmap.tif", "rasters/class.tif", "rasters/obstacle.tif"):
+        plant(folder / name, f"/vsicurl/{url}/{tmp_path.name}/{name}")
+    list_anew(folder)
+    with nullcontext() if plant is beside else pytest.raises(BadInputError, match=str(folder)):
+        read(folder, tmp_path)
+    assert not asked
+
+
+@pytest.mark.parametrize("in_memory", [1 << 30, 0])
+def test_a_raster_is_written_without_the_files_of_the_current_folder(server, tmp_path, monkeypatch, in_memory):
+    """GDAL takes these names for the overviews and the mask of a raster without a name."""
+    monkeypatch.setattr("bumpymap.layers._cog.SMALL", in_memory)
+    for suffix in (".ovr", ".OVR", ".msk", ".MSK"):
+        (tmp_path / suffix).write_text(VRT.format(f"/vsicurl/{server[0]}/{tmp_path.name}/{suffix[1:]}"))
+    monkeypatch.chdir(tmp_path)
+    write_folder(tmp_path / "map", make_field(12, 10, grid=SMALL, easy=True))
+    assert not server[1]
+
+
+@pytest.mark.parametrize("read", [relief, report, lambda folder, _: read_areas(folder / "a.json", bare_map())])
+def test_a_crs_that_leads_elsewhere_is_refused(one, tmp_path, read):
+    named = f"+proj=utm +zone=14 +ellps=clrk66 +nadgrids=@{tmp_path}/pipe +type=crs"
+    crs = json.loads((one / "run.json").read_text())["crs"] | {"wkt": CRS(named).to_wkt()}
+    folder = copy_folder(one, tmp_path / "map", crs=crs)
+    os.mkfifo(tmp_path / "pipe")
+    areas = {"type": "Feature", "geometry": shapely.geometry.mapping(shapely.box(0, 0, 9, 9)), "properties": {}}
+    areas |= {"crs": {"type": "name", "properties": {"name": named}}}
+    (folder / "a.json").write_text(json.dumps(areas))
+    with nullcontext() if read is report else pytest.raises(BadInputError, match="names a file by its path"):
+        read(folder, tmp_path)
+
+
+@pytest.mark.parametrize(("name", "read"), [("rasters/class.tif", dataset), ("rasters/roughness.tif", export)])
+def test_a_layer_that_does_not_fit_is_refused(one, tmp_path, name, read):
+    """It lies elsewhere than the others, or the names of its bands are no text."""
+    folder = copy_folder(one, tmp_path / "map")
+    if read is dataset:
+        with rasterio.open(folder / name, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as file:
+            file.transform *= file.transform.translation(1, 0)
+    else:
+        (folder / name).write_bytes((folder / name).read_bytes().replace(b">c_r<", b">\xbf_r<"))
+    list_anew(folder)
+    with pytest.raises(BadInputError, match=str(folder)):
+        read(folder, tmp_path)
+
+
+@pytest.mark.parametrize(("band", "value"), [("c_r", -1000.0), ("c_r_high", -1.0), ("p_fail", 1.5)])
+def test_values_that_cannot_be_are_refused(one, tmp_path, band, value):
+    """A way would be led over them: they would make it cheaper."""
+    folder = copy_folder(one, tmp_path / "map")
+    with rasterio.open(folder / "rasters/roughness.tif", "r+", IGNORE_COG_LAYOUT_BREAK="YES") as file:
+        number = file.descriptions.index(band) + 1
+        file.write(np.full(file.shape, value, np.float32), number)
+    list_anew(folder)
+    site = open_map(folder)
+    with pytest.raises(BadInputError, match=rf"roughness\.tif.*damaged: {band}"):
+        site.read(site.window)
+
+
+def damage(path):
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("name", "read"),
+    [
+        *(("rasters/class.tif", read) for read in (report, dataset, diff, bag)),
+        *(("rasters/heightmap.tif", read) for read in (report, dataset, diff, check)),
+        *(("tiles.parquet", read) for read in (report, tables)),
+        ("cost.fgb", tables),
+    ],
+)
+def test_a_layer_that_is_not_the_one_of_the_manifest_or_not_there_is_refused(one, tmp_path, name, read):
+    folder = copy_folder(one, tmp_path / "map")
+    damage(folder / name)
+    with pytest.raises(BadInputError, match="is damaged: its checksum"):
+        read(folder, tmp_path)
+    (folder / name).unlink()
+    with pytest.raises(BadInputError, match=f"{name} is missing"):
+        read(folder, tmp_path)
+
+
+def test_a_large_raster_is_held_against_its_checksum_when_it_is_read(one, tmp_path, monkeypatch):
+    monkeypatch.setattr("bumpymap.layers.map_reader.CHECKED_BYTES", 100)
+    folder = copy_folder(one, tmp_path / "map")
+    damage(folder / "rasters/heightmap.tif")
+    site = open_map(folder)
+    assert site.read(site.window).window == site.window
+    for read in (lambda: site.heights(site.window), lambda: site.relief(site.window, (5, 6))):
+        with pytest.raises(BadInputError, match=r"heightmap\.tif is damaged: its checksum"):
+            read()
+
+
+@pytest.mark.parametrize("suffix", [".geojson", ".gpx"])
+@pytest.mark.parametrize("read", [read_points, lambda path: read_areas(path, bare_map())])
+def test_a_vector_file_leads_nowhere_else(server, tmp_path, suffix, read):
+    url, asked = server
+    path = tmp_path / f"a{suffix}"
+    link = {"type": "link", "properties": {"href": url}}
+    feature = {"type": "Feature", "properties": {}, "geometry": shapely.geometry.mapping(shapely.Point(1, 2))}
+    for text in (
+        OGR_VRT.format(f"{url}/{tmp_path.name}"),
+        json.dumps({"type": "FeatureCollection", "crs": link, "features": [feature]}),
+        f'<!DOCTYPE gpx [<!ENTITY a SYSTEM "{url}">]><gpx><wpt lat="1" lon="2"><name>&a;</name></wpt></gpx>',
+        f"<!-- <gpx --> {OGR_VRT.format(url)}",
+    ):
+        path.write_text(text)
+        with pytest.raises(BadInputError):
+            read(path)
+    assert not asked

@@ -9,11 +9,12 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 import rasterio
-from cost_maps import SPEEDS, lone_columns, make_field, part_of, table_of
+from cost_maps import SPEEDS, lone_columns, make_field, make_map, part_of, table_of
 from pyproj import CRS
 from rasterio.env import get_gdal_config
 from rio_cogeo import cog_validate
 from scipy.ndimage import uniform_filter
+from small_surveys import band
 
 from bumpymap.core import CANOPY, CLASS_NAMES, FREE, NO_CLASS, OBJECT_NAMES, OBSTACLE, UNSEEN, ObjectStack
 from bumpymap.core.types import BANDS, BARRED_TEXT, REASON_TEXT, Georeference, Reason
@@ -74,8 +75,8 @@ def test_roughness_of_a_tile_is_its_value(rasters, cost_map):
     found, rest = of_tiles(rasters["roughness"], cost_map)
     columns = lone_columns(cost_map)
     columns["zone"] = np.where(columns["zone"] > 0, columns["zone"], np.nan)
-    for band, values in zip(BANDS, found, strict=True):
-        np.testing.assert_array_equal(values.ravel(), columns[band.name].astype(np.float32))
+    for wanted, values in zip(BANDS, found, strict=True):
+        np.testing.assert_array_equal(values.ravel(), columns[wanted.name].astype(np.float32))
     assert np.isnan(rest).all()
 
 
@@ -182,18 +183,15 @@ def each_four(pixels, nodata):
     return even.reshape(lines, 2, columns, 2).swapaxes(1, 2).reshape(lines, columns, 4)
 
 
-def mean_of_known(four):
-    with np.errstate(invalid="ignore"):
-        return np.nansum(four, axis=2) / np.isfinite(four).sum(axis=2)
-
-
-def test_overviews_average_and_most_frequent(tmp_path, make_field):
+def test_overviews_average_and_most_frequent(tmp_path):
     cost_map = make_field(300, 200, grid=Grid(3.0, 2), holes=0.0)
     for name in ("roughness", "class", "speed"):
         WRITERS[name](cost_map, tmp_path / f"{name}.tif")
         assert cog_validate(tmp_path / f"{name}.tif", strict=True)[:2] == (True, [])
     full, small, _ = levels_of(tmp_path / "roughness.tif")
-    np.testing.assert_allclose(small, mean_of_known(each_four(full, np.nan)), rtol=1e-5)
+    four = each_four(full, np.nan)
+    with np.errstate(invalid="ignore"):
+        np.testing.assert_allclose(small, np.nansum(four, axis=2) / np.isfinite(four).sum(axis=2), rtol=1e-5)
     full, small, _ = levels_of(tmp_path / "class.tif")
     codes = np.array([*range(4), NO_CLASS])
     counts = (each_four(full, NO_CLASS)[..., None] == codes).sum(axis=2)
@@ -206,7 +204,7 @@ def test_overviews_average_and_most_frequent(tmp_path, make_field):
 
 
 @pytest.mark.parametrize("small", [0, 1 << 30], ids=["on disk", "in memory"])
-def test_a_large_raster_of_several_bands_has_the_same_overviews(tmp_path, make_field, monkeypatch, small):
+def test_a_large_raster_of_several_bands_has_the_same_overviews(tmp_path, monkeypatch, small):
     """They are made before it is converted; blocks without values take no room."""
     monkeypatch.setattr(_cog, "SMALL", small)
     cost_map = make_field(520, 260, grid=Grid(3.0, 1))
@@ -225,7 +223,7 @@ def test_a_large_raster_of_several_bands_has_the_same_overviews(tmp_path, make_f
             assert first.overviews(1) == second.overviews(1)
 
 
-def test_unknown_ground_is_unknown_in_overviews_too(tmp_path, make_field):
+def test_unknown_ground_is_unknown_in_overviews_too(tmp_path):
     # One tile in four has a class. GDAL's own overviews leave nodata out of the count: all of them would have one.
     cost_map = make_field(700, 60, grid=Grid(3.0, 1), holes=0.0)
     known = (cost_map.patches.col % 2 == 0) & (cost_map.patches.row % 2 == 0)
@@ -242,7 +240,7 @@ def test_unknown_ground_is_unknown_in_overviews_too(tmp_path, make_field):
 @pytest.mark.parametrize(
     "georeference", [None, Georeference(CRS.from_epsg(2271), 1200 / 3937, 1200 / 3937)], ids=["metres", "feet"]
 )
-def test_heightmap_is_the_heights_side_by_side(tmp_path, make_field, georeference):
+def test_heightmap_is_the_heights_side_by_side(tmp_path, georeference):
     cost_map = make_field(20, 10, west=130_000, south=60_000, georeference=georeference)
     path, unit = tmp_path / "heightmap.tif", cost_map.georeference.metres_per_unit
     WRITERS["heightmap"](cost_map, path)
@@ -260,7 +258,7 @@ ODD = CRS("+proj=ob_tran +o_proj=tmerc +o_lat_p=30 +o_lon_p=0 +lon_0=5 +type=crs
 
 
 @pytest.mark.parametrize("name", ["class", "heightmap"])
-def test_a_crs_without_geotiff_keys_is_in_the_side_file_beside_names_and_counts(tmp_path, make_field, name):
+def test_a_crs_without_geotiff_keys_is_in_the_side_file_beside_names_and_counts(tmp_path, name):
     path = tmp_path / f"{name}.tif"
     WRITERS[name](make_field(8, 6, georeference=Georeference(ODD)), path)
     with rasterio.open(path) as file:
@@ -269,7 +267,7 @@ def test_a_crs_without_geotiff_keys_is_in_the_side_file_beside_names_and_counts(
         check_value_table(path, name, tmp_path / "seen.vrt")
 
 
-def test_threads_take_turns_to_write_and_to_read_rasters(tmp_path, make_field):
+def test_threads_take_turns_to_write_and_to_read_rasters(tmp_path):
     """GDAL flushes blocks that another thread has not finished: for those of a raster that is read, and at a smaller
     limit of its cache, which is the limit of the process."""
     path = tmp_path / "class.tif"
@@ -300,7 +298,7 @@ def test_small_rasters_are_made_in_memory_with_the_same_bytes(rasters, cost_map,
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == made_in_memory
 
 
-def test_overviews_of_a_photo_show_the_coloured_pixels_alone(tmp_path, make_field):
+def test_overviews_of_a_photo_show_the_coloured_pixels_alone(tmp_path):
     table, colour = table_of(make_field(40, 40, holes=0.0)), np.array([200, 100, 50])
     photo = (np.indices((15, 15)).sum(axis=0) % 2)[..., None] * np.tile(colour, (table.tiles.tiles, 1, 1, 1))
     tiles = TileTable.of(table.tiles.grid, table.tiles.read([]) | {"photo": photo.astype(np.uint8)})
@@ -310,7 +308,7 @@ def test_overviews_of_a_photo_show_the_coloured_pixels_alone(tmp_path, make_fiel
         assert np.abs(file.read()[:, file.dataset_mask() > 0] - colour[:, None]).mean() < 3
 
 
-def test_a_mostly_empty_survey_gives_valid_files_without_its_empty_blocks(make_map, tmp_path):
+def test_a_mostly_empty_survey_gives_valid_files_without_its_empty_blocks(tmp_path):
     """40 tiles, one of them in each corner of the extent, three beside each other; overviews keep the lone ones."""
     rng = np.random.default_rng(2)
     col = [0, 0, 302, 302, 100, 101, 102, *rng.integers(3, 99, 33)]
@@ -345,8 +343,7 @@ def thin(cost_map, share, seed=1):
 
 def relief_of(cost_map, path):
     write_raster(MapFile.RELIEF, table_of(cost_map), path)
-    with rasterio.open(path) as file:
-        return file.read(1)
+    return band(path)
 
 
 def means_of_thirds(cost_map):

@@ -12,7 +12,7 @@ import pystac
 import pytest
 import rasterio
 import shapely
-from cost_maps import table_of
+from cost_maps import make_field, table_of
 from jsonschema import Draft7Validator
 from PIL import Image
 from pyproj import CRS, Transformer
@@ -180,7 +180,7 @@ def test_surveys_of_one_name_have_ids_of_their_own(folder, tmp_path):
     assert [faults(item) for item in items] == [[]] * len(items)
 
 
-def item_at(make_field, folder, crs, west=110_000, south=680_000, unit=1.0):
+def item_at(folder, crs, west=110_000, south=680_000, unit=1.0):
     """A valid item of a small map in some place."""
     place = Georeference(crs and CRS(crs), unit, unit)
     field = make_field(9, 7, west=west, south=south, georeference=place)
@@ -189,16 +189,16 @@ def item_at(make_field, folder, crs, west=110_000, south=680_000, unit=1.0):
     return item
 
 
-def test_a_survey_without_a_crs_has_no_geometry(make_field, tmp_path):
-    item = item_at(make_field, tmp_path, None)
+def test_a_survey_without_a_crs_has_no_geometry(tmp_path):
+    item = item_at(tmp_path, None)
     assert item["geometry"] is None
     assert "bbox" not in item
     assert item["properties"]["proj:code"] is None
     assert item["properties"]["proj:shape"] == [7, 9]
 
 
-def test_heights_of_a_compound_crs(make_field, tmp_path):
-    item = item_at(make_field, tmp_path, "EPSG:6339+5703", 166_000, 1_400_000)  # UTM zone 10N, heights in metres
+def test_heights_of_a_compound_crs(tmp_path):
+    item = item_at(tmp_path, "EPSG:6339+5703", 166_000, 1_400_000)  # UTM zone 10N, heights in metres
     assert item["properties"]["proj:code"] == "EPSG:6339"
     compound = {name: asset for name, asset in item["assets"].items() if "proj:code" in asset}
     assert set(compound) == {"heightmap", "relief", "tiles_parquet"}
@@ -207,15 +207,15 @@ def test_heights_of_a_compound_crs(make_field, tmp_path):
         assert CRS.from_wkt(asset["proj:wkt2"]).is_compound
 
 
-def test_feet(make_field, tmp_path):
-    item = item_at(make_field, tmp_path, "EPSG:2263", 100_000, 20_000, 1200 / 3937)
+def test_feet(tmp_path):
+    item = item_at(tmp_path, "EPSG:2263", 100_000, 20_000, 1200 / 3937)
     assert item["properties"]["gsd"] == item["assets"]["class"]["gsd"] == 3
     assert item["properties"]["proj:transform"][0] == pytest.approx(3 * 3937 / 1200)
     assert shapely.geometry.shape(item["geometry"]).area > 0
 
 
 @pytest.fixture(scope="module")
-def night(tmp_path_factory, make_field):
+def night(tmp_path_factory):
     root = tmp_path_factory.mktemp("night")
     for seed, name in enumerate(("a", "Grube Süd")):
         survey = {"name": name, "checksum": None, "dates": ["2024-05-03"] * 2 if seed else None}

@@ -1,4 +1,4 @@
-"""Regions of a map and their files: what they cover, borders whose vertices both sides share, and RFC 7946."""
+"""Regions of a map and their files: what they cover, shared borders, RFC 7946; areas and points of users."""
 
 import json
 from dataclasses import replace
@@ -8,19 +8,21 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
-from cost_maps import lone_columns, part_of, table_of
+from cost_maps import lone_columns, make_field, make_map, part_of, regions_of, table_of, write_flatgeobuf, write_geojson
 from hypothesis import example, given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
 from pyproj import CRS, Transformer
-from region_files import regions_of, write_flatgeobuf, write_geojson
+from route_maps import UTM, bare_map
 from scipy import ndimage
 
-from bumpymap.core.errors import BadInputError
+from bumpymap.core import BadInputError
 from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, Barred, Georeference, Reason
+from bumpymap.layers import read_areas, read_points, tiles_in
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import dissolve
+from bumpymap.layers.route_inputs import FilePoint
 from bumpymap.layers.vector import GeoJsonCoordinates, region_columns
-from bumpytiles import Grid, TileTable
+from bumpytiles import Grid, TileTable, TileWindow
 
 
 def holes_of_tiles(col, row):
@@ -58,7 +60,7 @@ SITES = {
 }
 
 
-def map_of_keys(make_map, keys, site, stretch=1, shift=(0, 0)):
+def map_of_keys(keys, site, stretch=1, shift=(0, 0)):
     """Map with a class for each key, every tile stretched to ``stretch`` tiles side by side."""
     georeference, west, south = SITES[site]
     wide = np.repeat(keys, stretch, axis=1)
@@ -87,9 +89,9 @@ def vertices_by_hand(keys):
 @example(keys=RING_BY_CORNERS, cut=(1, 512), shift=(0, 0))
 @example(keys=BESIDE_A_LONG_SIDE, cut=(45, 512), shift=(-80, 0))
 @example(keys=np.ones((7, 8), np.uint8), cut=(1, 2), shift=(0, 0))
-def test_both_vectors_are_a_coverage_with_the_holes_of_the_tiles(make_map, site, keys, cut, shift):
+def test_both_vectors_are_a_coverage_with_the_holes_of_the_tiles(site, keys, cut, shift):
     stretch, size = cut
-    made = map_of_keys(make_map, keys, site, stretch, shift)
+    made = map_of_keys(keys, site, stretch, shift)
     table, holes = table_of(made), holes_of_tiles(made.patches.col, made.patches.row)
     place = GeoJsonCoordinates.of(Placement.of(table), local=True)
     with pytest.MonkeyPatch.context() as patched:
@@ -122,7 +124,7 @@ def areas_by_hand(cost_map):
     ),
     cols=st.integers(1, 6),
 )
-def test_any_small_map_gives_valid_right_hand_regions(make_map, cells, cols):
+def test_any_small_map_gives_valid_right_hand_regions(cells, cols):
     present = [(i % cols - 3, i // cols - 3, cell) for i, cell in enumerate(cells) if cell is not None]
     col, row, class_id = zip(*present, strict=True)
     cost_map = make_map(col, row, class_id, [3 if cell == NO_CLASS else 0 for cell in class_id])
@@ -138,7 +140,7 @@ def test_any_small_map_gives_valid_right_hand_regions(make_map, cells, cols):
         assert not any(hole.is_ccw for hole in outline.interiors)
 
 
-def test_numbers_are_means_over_the_tiles(make_map):
+def test_numbers_are_means_over_the_tiles():
     made = make_map([0, 1, 0, 1, 5], [0, 0, 1, 1, 9], [2, 2, NO_CLASS, NO_CLASS, 2], [0, 0, 3, 4, 0])
     p_fail = np.array([0.1, 0.4, np.nan, np.nan, 0.5], np.float32)
     cost_map = replace(made, p_fail=p_fail, patches=replace(made.patches, slope=np.zeros(5)))
@@ -164,7 +166,7 @@ def test_numbers_are_means_over_the_tiles(make_map):
     assert regions.cost == pytest.approx([np.nan] * 3 + [cost], nan_ok=True)
 
 
-def test_a_region_of_passable_tiles_lies_in_one_zone(make_map):
+def test_a_region_of_passable_tiles_lies_in_one_zone():
     cost_map = make_map(np.arange(6), np.zeros(6, int), [1] * 6, [0] * 6, easy=True)
     columns = lone_columns(cost_map) | {"zone": np.array([3, 3, 1, 1, 0, 3], np.int32)}
     columns["barred"][5] = Barred.STEP
@@ -178,7 +180,7 @@ def test_a_region_of_passable_tiles_lies_in_one_zone(make_map):
     )
 
 
-def test_a_large_map_is_cut_into_windows_from_its_north_west_corner(make_field, monkeypatch):
+def test_a_large_map_is_cut_into_windows_from_its_north_west_corner(monkeypatch):
     cost_map = make_field(45, 30, holes=0.3)
     monkeypatch.setattr("bumpymap.layers.regions.REGION_WINDOW", 20)
     patches = cost_map.patches
@@ -225,7 +227,7 @@ def check_rfc7946(path):
 
 
 @pytest.fixture(name="site", params=["south", "feet", "northing_first", "far_north"])
-def site_fixture(request, make_field):
+def site_fixture(request):
     georeference, west, south = SITES[request.param]
     return make_field(40, 25, west=west, south=south, georeference=georeference)
 
@@ -276,7 +278,7 @@ def test_geojson_and_flatgeobuf_open_in_geopandas_where_the_tiles_are_with_the_s
     assert globe["passable"].dtype == flat["passable"].dtype == bool
 
 
-def test_long_sides_follow_the_grid_on_the_globe(tmp_path, make_map):
+def test_long_sides_follow_the_grid_on_the_globe(tmp_path):
     # Far from the central meridian and far north, a strip of 3 km: its sides bend on the way to degrees.
     col, row = np.meshgrid(np.arange(240_000, 241_000), [2_900_000, 2_900_001])
     cost_map = make_map(
@@ -295,7 +297,7 @@ def test_long_sides_follow_the_grid_on_the_globe(tmp_path, make_map):
     assert off[along].max() < 0.012  # m: the rounding to 7 decimals is 1 cm
 
 
-def test_across_the_antimeridian_only_local_coordinates_are_written(tmp_path, make_field):
+def test_across_the_antimeridian_only_local_coordinates_are_written(tmp_path):
     place = Georeference(CRS.from_epsg(32701))
     x, y = Transformer.from_crs(4326, place.crs, always_xy=True).transform(180.0, -17.0)
     regions = regions_of(make_field(8, 6, west=round(x / 3) - 4, south=round(y / 3), georeference=place))
@@ -305,7 +307,7 @@ def test_across_the_antimeridian_only_local_coordinates_are_written(tmp_path, ma
     assert geopandas.read_file(tmp_path / "cost.geojson").crs.equals(place.crs, ignore_axis_order=True)
 
 
-def test_without_crs_only_local_coordinates_are_written(tmp_path, make_field):
+def test_without_crs_only_local_coordinates_are_written(tmp_path):
     cost_map = make_field(8, 6, west=-3, south=-2, georeference=Georeference(None))
     regions, path = regions_of(cost_map), tmp_path / "cost.geojson"
     with pytest.raises(BadInputError, match=r"no CRS.*`crs='EPSG:CODE'`.*`local=True`"):
@@ -325,7 +327,206 @@ def test_without_crs_only_local_coordinates_are_written(tmp_path, make_field):
     assert collection["bbox"] == globe.total_bounds.tolist() == flat.total_bounds.tolist() == bounds
 
 
-def test_coordinates_outside_of_the_crs(tmp_path, make_field):
+def test_coordinates_outside_of_the_crs(tmp_path):
     regions = regions_of(make_field(5, 5, west=300_000_000, south=300_000_000))
     with pytest.raises(BadInputError, match=r"outside the area where its CRS.*`force_crs="):
         write_geojson(regions, tmp_path / "cost.geojson", local=False)
+
+
+# ---- areas and points of users ----
+
+
+GRID = Grid(3.0, 15)
+WINDOW = TileWindow(160_000, 712_000, 100, 80)
+SITE = bare_map(WINDOW)
+CORNER = np.array([480_000.0, 2_136_000.0])
+"""South-west corner of the site, m."""
+
+
+def on_site(west, south, east, north):
+    """A box, in metres from that corner."""
+    return shapely.box(*np.add(CORNER, (west, south)), *np.add(CORNER, (east, north)))
+
+
+def feature(geometry, **properties):
+    return {"type": "Feature", "properties": properties, "geometry": shapely.geometry.mapping(geometry)}
+
+
+def geojson(path, *features, **more):
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": list(features)} | more))
+    return path
+
+
+def blob(seed, *, middle=(150.0, 120.0), size=90.0, corners=9):
+    """A star-shaped polygon on the site."""
+    rng = np.random.default_rng(seed)
+    angle = np.sort(rng.random(corners)) * 2 * np.pi
+    radius = size * (0.3 + 0.7 * rng.random(corners))
+    return shapely.Polygon(CORNER + middle + np.column_stack([np.cos(angle), np.sin(angle)]) * radius[:, None])
+
+
+def by_hand(areas, window, test):
+    """The relation of every tile of a window to the areas."""
+    col, row = np.meshgrid(window.col + np.arange(window.cols), window.row + np.arange(window.rows)[::-1])
+    return test(shapely.union_all(areas), shapely.box(col * 3.0, row * 3.0, col * 3.0 + 3.0, row * 3.0 + 3.0))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_tiles_in_and_within_areas_tile_by_tile(seed):
+    areas = np.array([blob(seed), blob(seed + 50, middle=(250.0, 60.0), size=70.0), blob(seed + 70, size=2.0)])
+    for window in (TileWindow(160_010, 712_005, 60, 55), TileWindow(160_045, 712_035, 3, 4)):
+        touched, held = tiles_in(areas, window, GRID), tiles_in(areas, window, GRID, wholly=True)
+        assert np.array_equal(
+            touched, by_hand(areas, window, lambda a, b: shapely.intersects(a, b) & ~shapely.touches(a, b))
+        )
+        assert np.array_equal(held, by_hand(areas, window, shapely.covers))
+        assert not (held & ~touched).any()
+
+
+def test_sides_on_the_borders_of_tiles():
+    """A polygon drawn along tiles touches no others; two such side by side hold the tiles of both."""
+    area = on_site(30.0, 60.0, 90.0, 120.0)
+    expected = np.zeros((80, 100), bool)
+    expected[40:60, 10:30] = True
+    halves = [on_site(30.0, 60.0, 61.0, 120.0), on_site(61.0, 60.0, 90.0, 120.0)]
+    assert np.array_equal(tiles_in(np.array([area]), WINDOW, GRID), expected)
+    assert np.array_equal(tiles_in(np.array([area]), WINDOW, GRID, wholly=True), expected)
+    assert np.array_equal(tiles_in(np.array(halves), WINDOW, GRID, wholly=True), expected)
+    for how in ({}, {"wholly": True}):
+        assert not tiles_in(np.array([], object), WINDOW, GRID, **how).any()
+        assert not tiles_in(np.array([area]), TileWindow(0, 0, 4, 4), GRID, **how).any()
+        assert tiles_in(np.array([shapely.box(0, 0, 1e7, 1e7)]), WINDOW, GRID, **how).all()
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:32614", "EPSG:32613"])
+def test_areas_of_any_crs_come_to_the_same_place(tmp_path, crs):
+    area = blob(1)
+    transformer = Transformer.from_crs(UTM, crs, always_xy=True)
+    dense = shapely.segmentize(area, 0.5)  # a straight side is bent in another CRS
+    moved = shapely.transform(dense, lambda xy: np.column_stack(transformer.transform(xy[:, 0], xy[:, 1])))
+    stated = {"type": "name", "properties": {"name": crs}}
+    (found,) = read_areas(geojson(tmp_path / "areas.geojson", feature(moved), crs=stated), SITE)
+    assert found.symmetric_difference(area).area < 0.01 * area.length * 0.01  # 0.1 mm along the outline
+    assert np.array_equal(tiles_in(np.array([found]), WINDOW, GRID), tiles_in(np.array([area]), WINDOW, GRID))
+
+
+def test_a_side_that_is_straight_in_longitude_and_latitude_is_bent_on_the_grid(tmp_path):
+    """A strip along a parallel, 2 degrees long: at its middle, its straight side on the grid would be 130 m off."""
+    longitude, latitude = SITE.to_lonlat(480_150.0, 2_136_120.0)
+    strip = shapely.box(longitude - 1.0, latitude, longitude + 1.0, latitude + 1.0)
+    (found,) = read_areas(geojson(tmp_path / "a.geojson", feature(strip)), SITE)
+    east = np.linspace(480_001.0, 480_299.0, 30)
+    along = SITE.to_lonlat(east, np.full(30, 2_136_120.0))[0]
+    edge = SITE.from_lonlat(along, np.full(30, latitude))[1]
+    points = [shapely.points(east, edge + step) for step in (0.001, -0.001)]
+    assert shapely.covers(found, points[0]).all()
+    assert not shapely.covers(found, points[1]).any()
+
+
+def test_areas_beside_the_map_are_an_error_that_names_them_unless_that_is_allowed(tmp_path, caplog):
+    """A way leads through what an area in a wrong place was to close."""
+    on, off = shapely.Point(SITE.to_lonlat(480_150.0, 2_136_120.0)).buffer(1e-4), shapely.Point(11.0, 48.0).buffer(1e-3)
+    path = geojson(tmp_path / "a.geojson", feature(on, name="pit"), feature(off, name="pond"), feature(off))
+    with pytest.raises(BadInputError, match=r"2 of the 3 areas of .* read in WGS 84 .*: number 2, 3\. .*allow_outside"):
+        read_areas(path, SITE)
+    assert len(read_areas(path, SITE, allow_outside=True)) == 1
+    assert "number 2, 3" in caplog.text
+
+
+def test_projected_numbers_of_a_geojson_are_in_the_crs_of_the_map(tmp_path, caplog):
+    """Read as degrees they would lie nowhere, and the way would lead through."""
+    area = blob(3)
+    (found,) = read_areas(geojson(tmp_path / "a.geojson", feature(area)), SITE)
+    assert found.equals(area)
+    assert "cannot be degrees" in caplog.text
+    beyond = geojson(tmp_path / "b.geojson", feature(shapely.box(4e6, 5e6, 4e6 + 9.0, 5e6 + 9.0)))
+    with pytest.raises(BadInputError, match=r"read in .*EPSG:32614.*, do not lie on the map"):
+        read_areas(beyond, SITE)
+
+
+def test_a_map_without_a_crs_takes_areas_in_its_own_coordinates(tmp_path):
+    local = bare_map(TileWindow(0, 0, 20, 20), crs=None)
+    area = shapely.box(6.0, 6.0, 20.0, 30.0)
+    (found,) = read_areas(geojson(tmp_path / "a.geojson", feature(area)), local)
+    assert found.equals(area)
+
+
+def areas(path):
+    return read_areas(path, SITE)
+
+
+PLACES = [(-99.19, 19.318), (-99.1885, 19.3191), (-99.1881, 19.3178)]
+
+
+def test_points_of_a_geojson_in_their_order(tmp_path):
+    points = [shapely.Point(*place, 2250.0) for place in PLACES]
+    nowhere = {"type": "Feature", "properties": {"name": "nowhere"}, "geometry": None}
+    features = feature(points[0], name="gate"), nowhere, feature(points[1], number=7), feature(points[2], name=" pump ")
+    assert read_points(geojson(tmp_path / "stops.geojson", *features)) == [
+        FilePoint(name, *place, "lonlat") for name, place in zip(("gate", "2", "pump"), PLACES, strict=True)
+    ]
+    nameless = geojson(tmp_path / "bare.json", feature(shapely.MultiPoint(PLACES)))
+    assert read_points(nameless) == [FilePoint(str(n), *place, "lonlat") for n, place in enumerate(PLACES, start=1)]
+
+
+GPX = '<?xml version="1.0"?><gpx version="1.1" creator="t" xmlns="http://www.topografix.com/GPX/1/1">{}</gpx>'
+
+
+def test_waypoints_of_a_gpx_or_else_the_points_of_its_route(tmp_path):
+    path = tmp_path / "tour.gpx"
+    way = "".join(f'<wpt lat="{y}" lon="{x}"><ele>12</ele><name>w{i}</name></wpt>' for i, (x, y) in enumerate(PLACES))
+    route = f'<rte><rtept lat="{PLACES[1][1]}" lon="{PLACES[1][0]}"></rtept></rte>'
+    path.write_text(GPX.format(way + route))
+    assert read_points(path) == [FilePoint(f"w{i}", *place, "lonlat") for i, place in enumerate(PLACES)]
+    path.write_text(GPX.format(route))
+    assert read_points(path) == [FilePoint("1", *PLACES[1], "lonlat")]
+    path.write_text(GPX.format(""))
+    with pytest.raises(BadInputError, match="holds no points"):
+        read_points(path)
+
+
+@pytest.mark.parametrize(
+    ("head", "system", "separator"),
+    [("lon,lat", "lonlat", ","), ("Longitude;Latitude", "lonlat", ";"), ("x\ty", "crs", "\t")],
+)
+def test_columns_of_a_csv(tmp_path, head, system, separator):
+    path = tmp_path / "points.csv"
+    rows = [["id", head, "name"], ["7", "1.5", "-2.25", "the gate"], [""], ["", ""], ["8", " 3e2 ", "4"]]
+    path.write_text("\n".join(map(separator.join, rows)), encoding="utf-8-sig")
+    assert read_points(path) == [FilePoint("the gate", 1.5, -2.25, system), FilePoint("4", 300.0, 4.0, system)]
+
+
+@pytest.mark.parametrize(
+    ("read", "name", "content", "words"),
+    [
+        (areas, "a.geojson", json.dumps(feature(shapely.LineString(PLACES))), "holds linestring; areas must be pol"),
+        (areas, "a.geojson", '{"type": "FeatureCollection", "features": []}', "holds nothing"),
+        (areas, "a.kml", "", "is not a file of polygons"),
+        (areas, "a.gpkg", "SQLite format 3", "ogr2ogr"),
+        (areas, "b.geojson", None, "is missing"),
+        (read_points, "a.csv", "lon,height\n1,2\n", r"a\.csv has the columns lon, height; it needs lon,lat"),
+        (read_points, "a.csv", "lon,lat\n1,2\n3,north\n", r"a\.csv, line 3: '3,north'"),
+        (read_points, "a.csv", "x;y\n1,5;2,5\n", r"'1,5;2,5' has no two numbers .* decimals with a point"),
+        (read_points, "a.csv", "lon,lat\n", "holds no points"),
+        (read_points, "a.csv", b"\xff\xfe\x00", "cannot read"),
+        (read_points, "a.txt", "1,2", r"Give \.geojson, \.gpx or \.csv"),
+        (read_points, "a.geojson", "{", r"cannot read .*a\.geojson: .*\. Give"),
+        (
+            read_points,
+            "a.geojson",
+            '{"type": "FeatureCollection", "features": [5]}',
+            "features.0 is '5'; it must be an ",
+        ),
+        (read_points, "a.geojson", '{"type": "Feature", "crs": 5}', "crs is '5'; it must be an object with type, prop"),
+        (read_points, "a.geojson", '{"type": "Point", "coordinates": [1e999, 1]}', "the Point of feature 1 is damaged"),
+        (read_points, "a.geojson", '{"type": "Polygon", "coordinates": [[[1, 2]]]}', "Polygon of feature 1 is damaged"),
+        (read_points, "a.gpx", '<gpx><wpt lat="1"/></gpx>', "a point of it is not a place: lat='1'"),
+        (read_points, "a.gpx", "<kml><wpt lat='1' lon='2'/></kml>", "it is no GPX"),
+    ],
+)
+def test_files_that_hold_neither_areas_nor_points_are_refused(tmp_path, read, name, content, words):
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(BadInputError, match=words):
+        read(path)

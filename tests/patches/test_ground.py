@@ -4,11 +4,9 @@ import importlib.util
 
 import numpy as np
 import pytest
-import rasterio
 import small_surveys
-from alike_surveys import alike_surveys
 from patch_stacks import block_of
-from small_surveys import layers_of, write_las
+from small_surveys import alike_surveys, band, layers_of, write_las
 
 from bumpymap.core import install_command
 from bumpymap.core.config import CsfSettings
@@ -48,9 +46,9 @@ def write(path, points):
     return write_las(path, *(points + CORNER).T, offset=CORNER, scales=np.full(3, 1 / 1024))
 
 
-def run(*arguments):
+def run(*arguments, code=0):
     with alike_surveys():
-        return small_surveys.run(*arguments)
+        return small_surveys.run(*arguments, code=code)
 
 
 @pytest.fixture(scope="module")
@@ -58,25 +56,13 @@ def mapped(wood, tmp_path_factory):
     """Folder of the layers of the wood that the cloth gives."""
     folder = tmp_path_factory.mktemp("wood")
     survey = write(folder / "wood.las", wood[0])
-    result = run("map", survey, "--ground", "csf", "--out", folder / "csf")
-    assert result.exit_code == 0, result.output
+    run("map", survey, "--ground", "csf", "--out", folder / "csf")
     return folder
-
-
-def bands(folder, *names):
-    with rasterio.open(folder / "rasters/roughness.tif") as raster:
-        return [raster.read(raster.descriptions.index(name) + 1) for name in names]
-
-
-def classes(folder):
-    with rasterio.open(folder / "rasters/class.tif") as raster:
-        return raster.read(1)
 
 
 def standing(folder):
     """Where obstacles are, by tile and pixel."""
-    with rasterio.open(folder / "rasters/obstacle.tif") as raster:
-        pixels = raster.read(1) == OBSTACLE
+    pixels = band(folder / "rasters/obstacle.tif") == OBSTACLE
     return pixels.reshape(len(pixels) // 15, 15, -1, 15).swapaxes(1, 2)
 
 
@@ -85,9 +71,9 @@ def test_the_map_under_trees_is_that_of_the_ground_alone(wood, mapped):
     points, is_ground = wood
     alone = write(mapped / "ground.las", points[is_ground])
     for survey, name in ((alone, "alone"), (mapped / "wood.las", "everything")):
-        assert run("map", survey, "--ground", "all", "--out", mapped / name).exit_code == 0
-    class_id, wanted = (classes(mapped / name) for name in ("csf", "alone"))
-    (c_r,), (wanted_c_r,) = (bands(mapped / name, "c_r") for name in ("csf", "alone"))
+        run("map", survey, "--ground", "all", "--out", mapped / name)
+    class_id, wanted = (band(mapped / name / "rasters/class.tif") for name in ("csf", "alone"))
+    c_r, wanted_c_r = (band(mapped / name / "rasters/roughness.tif", "c_r") for name in ("csf", "alone"))
     assert class_id.shape == (16, 32)
     np.testing.assert_array_equal(class_id, wanted)
     # Without other points, a narrow hump of the ground may be a thing that the ride is rated without.
@@ -96,8 +82,7 @@ def test_the_map_under_trees_is_that_of_the_ground_alone(wood, mapped):
     np.testing.assert_allclose(c_r[bare], wanted_c_r[bare], rtol=5e-3)  # the noise of thin tiles is that of all
     assert set(np.unique(wanted)) >= {0, 2}  # nothing would be held were it all of one class
     # Crowns are part of the relief where nobody takes them away: what stands out of it bars the way.
-    with rasterio.open(mapped / "everything" / "rasters/barred.tif") as raster:
-        assert (raster.read(1)[:, 4:8] != Barred.NO).all()
+    assert (band(mapped / "everything/rasters/barred.tif")[:, 4:8] != Barred.NO).all()
     assert standing(mapped / "everything")[:, 4:8].mean() > 0.5
     assert (wanted[:, 4:8] == 0).all()
 
@@ -114,8 +99,7 @@ def test_no_order_of_the_points_no_budget_and_no_cluster_changes_a_byte(
         survey, how = write(tmp_path / "other.laz", np.random.default_rng(3).permutation(wood[0])), ("--threads", 3)
         monkeypatch.setattr(Budget, "chunk_points", 9_000)
         monkeypatch.setattr(Budget, "waiting_points", 30_000)
-    result = run("map", survey, "--ground", "csf", "--out", tmp_path / "csf", *how)
-    assert result.exit_code == 0, result.output
+    run("map", survey, "--ground", "csf", "--out", tmp_path / "csf", *how)
     assert layers_of(tmp_path / "csf") == layers_of(mapped / "csf")
 
 
@@ -179,10 +163,10 @@ def test_a_boulder_goes_as_a_tree_does_and_is_an_obstacle(tmp_path):
     points = np.column_stack([x, y, 2.0 * np.sqrt(np.maximum(0, 1 - far**2)) + 0.004 * rng.normal(size=len(x))])
     survey = write(tmp_path / "boulder.las", np.round(points * 1024) / 1024)
     for ground in ("all", "csf"):
-        assert run("map", survey, "--ground", ground, "--out", tmp_path / ground).exit_code == 0
+        run("map", survey, "--ground", ground, "--out", tmp_path / ground)
         assert standing(tmp_path / ground)[8, 7].mean() == pytest.approx(np.pi * 0.5**2 / 9, rel=0.3)
-        assert classes(tmp_path / ground)[8, 7] <= 1  # the ride is that of the ground beside it
-    obstacle, height = bands(tmp_path / "csf", "obstacle", "obstacle_height")
+        assert band(tmp_path / ground / "rasters/class.tif")[8, 7] <= 1  # the ride is that of the ground beside it
+    obstacle, height = (band(tmp_path / "csf/rasters/roughness.tif", name) for name in ("obstacle", "obstacle_height"))
     assert obstacle[8, 7] == pytest.approx(np.pi * 0.5**2 / 9, rel=0.2)  # its top too, which is higher than the vehicle
     assert height[8, 7] == pytest.approx(1.38, abs=0.1)  # up to that of the vehicle
 
@@ -190,8 +174,7 @@ def test_a_boulder_goes_as_a_tree_does_and_is_an_obstacle(tmp_path):
 @needs_filter
 def test_blocks_that_would_be_shared_out_or_are_too_large_for_the_cloth_are_refused(mapped, tmp_path, monkeypatch):
     monkeypatch.setattr(Budget, "block_points", 50_000)
-    result = run("map", mapped / "wood.las", "--ground", "csf", "--out", tmp_path / "csf")
-    assert result.exit_code == 2
+    result = run("map", mapped / "wood.las", "--ground", "csf", "--out", tmp_path / "csf", code=2)
     assert "--ground csf takes squares of 48 m as a whole" in result.output
     assert "room for 50,000. Raise --memory" in result.output
     require_filter(CsfSettings(), Grid(15.0))
@@ -201,7 +184,6 @@ def test_blocks_that_would_be_shared_out_or_are_too_large_for_the_cloth_are_refu
 
 def test_without_the_filter_the_user_is_told_what_to_install(wood, tmp_path, monkeypatch):
     monkeypatch.setattr(cloth.importlib.util, "find_spec", lambda _: None)
-    result = run("map", write(tmp_path / "wood.las", wood[0][:5000]), "--ground", "csf", "--out", tmp_path / "csf")
-    assert result.exit_code == 2
-    assert install_command("csf") in result.output
+    survey = write(tmp_path / "wood.las", wood[0][:5000])
+    assert install_command("csf") in run("map", survey, "--ground", "csf", "--out", tmp_path / "csf", code=2).output
     assert not (tmp_path / "csf").exists()

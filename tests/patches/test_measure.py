@@ -1,20 +1,24 @@
-"""Measures of tiles, dense and thin, against numpy, scipy, scikit-learn and open3d."""
+"""Measures of tiles against numpy, scipy, scikit-learn and open3d: dense and thin ones, their planes, their pixels."""
 
 import itertools
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import laspy
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
-from patch_stacks import block_of
+from hypothesis import given, settings, strategies as st
+from patch_stacks import block_of, joined_in_order
 from scipy.stats import binned_statistic_2d
 from sklearn.linear_model import RANSACRegressor
 
 from bumpymap.core import loops
 from bumpymap.core.config import FeatureSettings
-from bumpymap.core.types import Reason
-from bumpymap.patches import measure, measure_thin
+from bumpymap.core.types import OBSTACLE, POINT_DECK, POINT_GROUND, POINT_OTHER, SEEN, UNDECIDED, Reason, VehicleBody
+from bumpymap.patches import decks_as_ground, find_objects, measure, measure_thin
+from bumpymap.readers import ReadOptions, open_survey
+from bumpytiles import Grid, TileBuckets, photo_of
 
 EAST, NORTH = 500_001.0, 4_000_002.0  # south-west corner of a tile
 
@@ -201,24 +205,19 @@ def thin_of(points, *, ground_only=False):
     return measure_thin(points, patches, SETTINGS, ground_only=ground_only)
 
 
-def plain_pairs(x, y, z):
-    """The measures of one tile without strays, by numpy."""
-    plane = np.column_stack((x, y, np.ones(len(x))))
-    slope, *_ = np.linalg.lstsq(plane, z, rcond=None)
-    h = z - plane @ slope
-    i, j = np.triu_indices(len(x), 1)
-    close = np.hypot(x[i] - x[j], y[i] - y[j]) < CLOSE
-    return [np.hypot(*slope[:2]), ((h[i] - h[j]) ** 2)[close].sum(), close.sum()]
-
-
 def test_pairs_of_points_are_those_of_numpy():
     rng = np.random.default_rng(3)
     x, y = rng.uniform(0, 3, 80), rng.uniform(0, 6, 80)
     points = block_of(600_000 + x, 3_999_999 + y, 900 + 0.2 * x + rng.normal(0, 0.1, 80))
     pairs, _ = thin_of(points)
     for tile, (first, end) in enumerate(itertools.pairwise(points.starts)):
-        own = slice(first, end)
-        mine = plain_pairs(points.easting[own] - 600_000, points.northing[own] - 4_000_000, points.upward[own] - 900)
+        x, y, z = (axis[first:end] for axis in (points.easting - 600_000, points.northing - 4_000_000, points.upward))
+        plane = np.column_stack((x, y, np.ones(len(x))))
+        slope, *_ = np.linalg.lstsq(plane, z - 900, rcond=None)
+        h = z - 900 - plane @ slope
+        i, j = np.triu_indices(len(x), 1)
+        close = np.hypot(x[i] - x[j], y[i] - y[j]) < CLOSE
+        mine = [np.hypot(*slope[:2]), ((h[i] - h[j]) ** 2)[close].sum(), close.sum()]
         np.testing.assert_allclose(pairs[tile, 2:], mine, rtol=1e-6)
         assert pairs[tile, 0] == end - first > 20
 
@@ -301,3 +300,185 @@ def test_residuals_of_whole_surveys_agree_in_the_median(survey, oracle, measure_
         ratio.append(stack.ransac_residual[k] / np.mean(abs(points @ plane[:3] + plane[3]) / np.linalg.norm(plane[:3])))
     assert np.median(ratio) == pytest.approx(1.0, abs=0.05)
     assert np.median(np.abs(np.array(ratio) - 1.0)) < 0.05
+
+
+# ---- slopes of tiles are those that weights which stand still give ----
+
+
+SIDE_TILES = 6
+REACH = 0.1
+
+
+def rough_ground():
+    """Points of 6 x 6 tiles: waves, terraces, and more and more plants northwards; none on the border of a tile."""
+    rng = np.random.default_rng(1)
+    x, y = (np.floor(rng.uniform(0, 3 * SIDE_TILES, (2, 80 * (3 * SIDE_TILES) ** 2)) * 1e3) + 0.5) / 1e3
+    z = 0.1 * x + np.where(np.sin(0.7 * x + 0.3 * y) > 0.4, 0.6, 0.0) + 0.02 * rng.normal(size=len(x))
+    for wave in (12.0, 5.0, 2.0, 0.8):
+        a, b = rng.uniform(0, 6, 2)
+        z += 0.06 * wave**0.8 * np.sin(6.3 * x / wave + a) * np.sin(6.3 * y / wave + b)
+    plants = rng.random(len(x)) < 0.9 * y / (3 * SIDE_TILES)
+    return x + EAST, y + NORTH, np.round(z + plants * rng.exponential(0.4, len(x)) + 2277, 3)
+
+
+GROUND = rough_ground()
+
+
+@pytest.fixture(scope="module", name="measured")
+def measured_fixture(measure_points):
+    return measure_points(*GROUND)
+
+
+def by_tile(stack, x, y, z):
+    """Points of each tile, from its middle."""
+    place = np.lexsort((np.floor(x / 3), -np.floor(y / 3)))
+    ends = np.cumsum(stack.count)[:-1]
+    middle = 3 * (np.stack([stack.col, stack.row], axis=1) + 0.5)
+    for tile, (west, south) in zip(np.split(place, ends), middle, strict=True):
+        yield np.stack([x[tile] - west, y[tile] - south, z[tile] - z[tile].mean()], axis=1)
+
+
+def robust_slopes(points):
+    """By plain steps from the least-squares planes of all points and of each quarter, until they stand still."""
+    terms = np.column_stack([points[:, :2], np.ones(len(points))])
+    east, north = points[:, 0] > 0, points[:, 1] > 0
+    for start in (np.ones(len(points)), east & north, east & ~north, ~east & north, ~east & ~north):
+        weight, plane = start.astype(float), np.zeros(3)
+        for _ in range(3000):
+            last, weighted = plane, terms.T * weight
+            plane = np.linalg.solve(weighted @ terms, weighted @ points[:, 2])
+            distance = (points[:, 2] - terms @ plane) / np.hypot(np.hypot(*plane[:2]), 1.0)
+            weight = (1.0 + (distance / REACH) ** 2) ** -2.0
+            if abs(plane - last).max() < 1e-8:
+                break
+        yield np.degrees(np.arctan(np.hypot(*plane[:2])))
+
+
+def test_slope_is_that_of_least_squares_reweighted_until_they_stand_still(measured):
+    """From the start that explains most; where several planes would do, a step may lead to another than plain ones."""
+    slopes = np.array([list(robust_slopes(points)) for points in by_tile(measured, *GROUND)])
+    away = np.abs(slopes - measured.slope[:, None]).min(axis=1)
+    assert np.median(away) < 2e-3
+    assert np.mean(away < 0.1) > 0.95
+
+
+@pytest.mark.parametrize("part", ["half", "corner"])
+def test_slope_beside_a_thing_is_that_of_the_ground(measure_points, part):
+    x, y, _ = GROUND
+    on_it = (x % 3 > 1.6) & ((y % 3 > 1.0) | (part == "half"))
+    stack = measure_points(x, y, np.round(0.2 * (x - EAST), 3) + 1.5 * on_it)
+    np.testing.assert_allclose(stack.slope, np.degrees(np.arctan(0.2)), atol=0.1)
+
+
+# ---- points of files whose grid has borders of pixels on it, against exact integers: pixels are half-open ----
+
+
+UNITS = {"m": Fraction(1), "ft": Fraction(381, 1250), "us-ft": Fraction(1200, 3937)}
+SCALES, OFFSETS = ("0.001", "0.01", "0.0001"), ("0", "500000", "313700.5", "-1234.56")
+GRIDS = {"3": Grid(), "1.5": Grid(1.5, 30), "1.1": Grid(1.1, 11)}
+DENSE = 3000
+
+
+def write(path, numbers, scale, offsets, heights, **columns):
+    """A LAS file of the integers of x and y, (2, n)."""
+    header = laspy.LasHeader(version="1.4", point_format=7)
+    header.scales, header.offsets = [float(scale)] * 2 + [0.001], [float(offset) for offset in (*offsets, 0)]
+    las = laspy.LasData(header)
+    las.X, las.Y = numbers
+    las.z = heights
+    for name, values in columns.items():
+        las[name] = values
+    las.write(path)
+    return path
+
+
+def exact(numbers, scale, offset, unit, side, pixels):
+    """Number of the pixel of each integer along an axis, counted from the origin."""
+    factor, shift = (UNITS[unit] * Fraction(number) * pixels / Fraction(side) for number in (scale, offset))
+    below = factor.denominator * shift.denominator
+    up, start = int(factor * below), int(shift * below)
+    return np.array([(number * up + start) // below for number in numbers.tolist()])
+
+
+def numbers_around(rng, place, scale, offset, unit, count=DENSE):
+    """Integers of coordinates within 6 m around a place [m], at least half of them on the 5 cm nearest to a border."""
+    step = float(Fraction(scale) * UNITS[unit])
+    wanted = place + rng.uniform(0, 6, count)
+    wanted[::2] = np.round(wanted[::2] / 0.1) * 0.1
+    return np.round((wanted - float(Fraction(offset) * UNITS[unit])) / step).astype(np.int64)
+
+
+def blocks_of(path, unit, grid):
+    reader = open_survey(path, ReadOptions(xy_unit=None if unit == "m" else unit, z_unit="m", colour=True))
+    buckets = TileBuckets(grid)
+    for chunk in reader.chunks():
+        buckets.add_chunk(reader.convert(chunk, reader.fetch(chunk)).grouped(grid))
+    return list(buckets.blocks())
+
+
+def maps_of(stack):
+    """Number of points and mean height of every pixel that has points, by row (from the south) and column."""
+    t, north, col = np.nonzero(stack.spread_count)
+    px = stack.grid.pixels
+    keys = np.stack([stack.row[t] * px + px - 1 - north, stack.col[t] * px + col], axis=1).tolist()
+    held = zip(stack.spread_count[t, north, col], stack.heights[t, north, col], strict=True)
+    return dict(zip(map(tuple, keys), held, strict=True))
+
+
+@settings(max_examples=40)
+@given(
+    st.integers(0, 1 << 30),
+    st.sampled_from(SCALES),
+    st.tuples(st.sampled_from(OFFSETS), st.sampled_from(OFFSETS)),
+    st.sampled_from(list(UNITS)),
+    st.tuples(*2 * [st.integers(-7_000_000, 7_000_000)]),
+    st.sampled_from(list(GRIDS)),
+)
+def test_every_pixel_holds_the_points_that_exact_arithmetic_gives_it(
+    tmp_path_factory, seed, scale, offsets, unit, place, side
+):
+    """Whatever scale, offset and unit a file has, whatever the sign of its coordinates."""
+    rng, grid = np.random.default_rng(seed), GRIDS[side]
+    reach = 0.9 * 2**31 * float(Fraction(scale) * UNITS[unit])
+    middle = [float(Fraction(offset) * UNITS[unit]) for offset in offsets]
+    place = [min(max(at, own - reach), own + reach) for at, own in zip(place, middle, strict=True)]
+    numbers = [numbers_around(rng, at, scale, offset, unit) for at, offset in zip(place, offsets, strict=True)]
+    # No two points at one place: of twins, one counts.
+    numbers = np.unique(np.array(numbers), axis=1)
+    heights = rng.integers(0, 100, numbers.shape[1]) / 1000
+    path = write(tmp_path_factory.mktemp("pixels") / "a.las", numbers, scale, offsets, heights)
+    stack = joined_in_order(measure(b, FeatureSettings(), ground_only=False) for b in blocks_of(path, unit, grid))
+    col, row = (
+        exact(axis, scale, offset, unit, side, grid.pixels) for axis, offset in zip(numbers, offsets, strict=True)
+    )
+    places, at, count = np.unique(np.stack([row, col]), axis=1, return_inverse=True, return_counts=True)
+    found = sorted(maps_of(stack).items())
+    assert [key for key, _ in found] == list(map(tuple, places.T.tolist()))
+    assert [own for _, (own, _) in found] == count.tolist()
+    np.testing.assert_allclose([own for _, (_, own) in found], np.bincount(at.ravel(), heights) / count, atol=1e-6)
+
+
+def test_objects_decks_and_photos_have_the_pixels_of_the_heights(tmp_path):
+    """On a grid of centimetres far from the origin, where 15 * (x - west) / 3 falls to either side of a border."""
+    rng, corner = np.random.default_rng(4), (413_700, 5_403_200)
+    numbers = np.unique(rng.integers(0, 60, (2, 4000)) * 5, axis=1)
+    kind = rng.choice([POINT_GROUND, POINT_OTHER], numbers.shape[1], p=[0.9, 0.1]).astype(np.uint8)
+    z, white = 1.0 * (kind == POINT_OTHER), np.where(kind == POINT_OTHER, 255, 0)
+    path = write(tmp_path / "a.las", numbers, "0.01", corner, z, red=white << 8, green=white << 8, blue=white << 8)
+    body = VehicleBody(clearance_m=0.25, height_m=1.4, width_m=1.4, brush_stem_m=0.25)
+    raised = 0
+    for block in blocks_of(path, "m", Grid()):
+        of_tile = np.repeat(np.arange(len(block.col)), np.diff(block.starts))
+        x, y = (np.round(axis * 100).astype(np.int64) // 20 for axis in (block.easting, block.northing))
+        place = of_tile, 14 - y % 15, x % 15
+        is_raised = block.upward > 0.5
+        expected = np.zeros((len(block.col), 15, 15), bool)
+        expected[tuple(axis[is_raised] for axis in place)] = True
+        assert np.array_equal(photo_of(block).any(axis=-1), expected)
+        marked = replace(block, flag=np.where(is_raised, POINT_OTHER, POINT_GROUND).astype(np.uint8))
+        states = find_objects(marked, measure(marked, FeatureSettings(), ground_only=True), body).objects % SEEN
+        assert np.array_equal((states == OBSTACLE) | (states == UNDECIDED), expected)
+        decks = decks_as_ground(replace(block, flag=np.where(is_raised, POINT_DECK, POINT_GROUND).astype(np.uint8)))
+        assert np.array_equal(decks.flag == POINT_OTHER, expected[place] & ~is_raised)
+        raised += expected.sum()
+    assert raised > 100

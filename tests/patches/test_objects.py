@@ -1,11 +1,30 @@
-"""Obstacles and canopy of single tiles: made-up points whose truth is plain, and what must not be taken for them."""
+"""Obstacles and canopy: made-up points and solids whose truth is plain, and what must not be taken for them."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from patch_stacks import block_of
+from scenes import (
+    BUILDING,
+    FAR,
+    OTHER,
+    SCENES,
+    Place,
+    Scene,
+    Solid,
+    fence,
+    judge,
+    mapped_tiles,
+    ring,
+    seen_from_above,
+    seen_pixels,
+    survey_scene,
+    wall,
+)
 
+from bumpymap.core import EMPTY, LONE
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import CANOPY, FREE, OBSTACLE, SEEN, UNDECIDED, UNSEEN, VehicleBody
 from bumpymap.patches.features import find_objects, measure, settle_solids
@@ -89,14 +108,10 @@ def test_plants_that_are_brushed_aside_are_no_obstacle_and_a_wire_is_one(rng):
     assert found(ground, things(np.arange(0.1, 3, 0.2), 1.5, 0.8)).obstacle[0] >= 13 / 225
 
 
-def lifted(ground, x, y, radius, height):
-    """Ground of which a disc is raised, and none of the ground."""
-    disc = np.hypot(ground[:, 0] - x, ground[:, 1] - y) < radius
-    return np.where(disc[:, None], ground + np.array([0, 0, height, -1]), ground)
-
-
 def test_ground_is_continued_under_a_boulder_and_down_a_slope(rng):
-    stack = found(lifted(meadow(rng, slope=0.5), 1.5, 1.5, 0.7, 0.6))
+    ground = meadow(rng, slope=0.5)
+    raised = np.hypot(*(ground[:, :2] - 1.5).T) < 0.7
+    stack = found(ground + raised[:, None] * [0, 0, 0.6, -1])  # and none of the ground
     assert stack.obstacle[0] == pytest.approx(np.pi * 0.7**2 / 9, rel=0.2)
     assert stack.obstacle_height[0] == pytest.approx(0.6, abs=0.12)
 
@@ -207,20 +222,12 @@ def test_points_of_a_boulder_that_was_taken_for_ground_make_an_obstacle_across_t
     assert np.all(apart.flag == 1)
 
 
-def surveyed(ground, density):
-    """Points of a block of 16 x 16 tiles, without classes, and the block measured."""
+def bare_tiles(ground, density):
+    """Points of a block of 16 x 16 tiles, without classes: obstacles, tiles, and what is left without what stands."""
     rng = np.random.default_rng(3)
     x, y = rng.uniform(0, 48, (2, int(density * 48**2)))
     points = block_of(x, y, ground(x, y) + 0.01 * rng.normal(size=len(x)))
-    return points, measure(points, SETTINGS, ground_only=False)
-
-
-def gentle(x, y):
-    return 0.1 * x + 0.03 * np.sin(2 * y)
-
-
-def bare_tiles(ground, density):
-    points, patches = surveyed(ground, density)
+    patches = measure(points, SETTINGS, ground_only=False)
     found = find_in_relief(points, patches, BODY)
     return found[0].objects == OBSTACLE, patches, *leave_out_standing(points, patches, found, SETTINGS)
 
@@ -258,7 +265,7 @@ def test_tiles_of_which_little_is_left_or_where_the_vehicle_fits_nowhere_stay_as
     stays = (bare.relief_map == patches.relief_map).all(axis=(1, 2))
     assert stays.mean() > 0.98  # in the outermost tiles, fewer things are seen
     # A terrace of 2 m and more, cut by the edge of the block.
-    things, patches, _, bare = bare_tiles(lambda x, y: gentle(x, y) + 1.0 * (x > 46.0), 60)
+    things, patches, _, bare = bare_tiles(lambda x, y: 0.1 * x + 0.03 * np.sin(2 * y) + 1.0 * (x > 46.0), 60)
     assert not things.any()
     np.testing.assert_array_equal(bare.relief_map, patches.relief_map)
 
@@ -277,3 +284,128 @@ def test_a_few_points_of_a_wall_that_ends_in_a_tile_are_no_noise_but_points_belo
     assert patches.reason[tile] == 5
     _, bare = leave_out_standing(points, patches, find_in_relief(points, patches, BODY), SETTINGS)
     assert bare.reason[tile] == reason
+
+
+# ---- solids on made-up ground that are seen only from above are closed; level ground and that under crowns is not ----
+
+
+BY_NAME = {scene.name: seen_from_above(scene) for scene in SCENES}
+
+
+SOLIDS = [
+    (200, 0.95, ("wall 0.3 m",)),
+    (50, 0.93, ("wall 0.6 m", "bales", "vans", "hut", "hut, unassigned", "hedge")),
+    (50, 0.9, ("crates",)),
+    (8, 0.85, ("bales", "hut")),
+    (8, 0.8, ("crates", "hedge")),
+    (8, 0.75, ("vans",)),
+]
+"""Density, least share that is closed, names."""
+
+
+@pytest.mark.parametrize(("density", "least", "name"), [(*how, name) for *how, names in SOLIDS for name in names])
+def test_a_solid_seen_only_from_above_is_closed(density, least, name):
+    found = judge(BY_NAME[name], density, 0.03, BODY)
+    assert found.closed >= least
+    assert found.barred == 0
+
+
+@pytest.mark.parametrize("density", [200, 4])
+@pytest.mark.parametrize("name", ["open ground", "ditch", "ramp", "bank 0.4 m"])
+@pytest.mark.parametrize("classified", [True, False])
+def test_level_ground_is_free_at_any_density_and_noise(name, density, classified):
+    for noise in (0.0, 0.03):
+        found = judge(BY_NAME[name], density, noise, BODY, classified=classified)
+        assert found.barred == 0
+        assert name not in {"ditch", "ramp"} or found.relief == 0
+
+
+@pytest.mark.parametrize("name", ["crowns over ground", "crowns, unassigned"])
+def test_ground_under_crowns_is_free_where_it_is_seen(name):
+    for density, most in ((200, 0), (50, 0), (20, 0.002), (8, 0.01)):
+        assert judge(BY_NAME[name], density, 0.03, BODY).barred <= most
+
+
+@pytest.mark.parametrize(
+    "scene", [wall(0.3, OTHER), wall(0.3, OTHER, height=0.6), fence()], ids=lambda scene: scene.name
+)
+@pytest.mark.parametrize("classified", [True, False])
+def test_more_points_see_no_less(scene, classified):
+    scene = seen_from_above(scene)
+    shares = [judge(scene, density, 0.0, BODY, classified=classified).closed for density in (8, 20, 50, 200)]
+    assert np.all(np.diff(shares) > -0.03)
+
+
+def test_in_a_survey_without_classes_narrow_things_are_told_from_relief():
+    for name in ("wall 0.3 m", "crates", "vans", "hedge", "posts"):
+        assert judge(BY_NAME[name], 200, 0.03, BODY, classified=False).closed > 0.95, name
+    for name in ("crates", "bales"):
+        assert judge(BY_NAME[name], 8, 0.03, BODY, classified=False, seeds=range(4)).closed > 0.8, name
+
+
+def test_points_of_buildings_are_obstacles_however_high_and_thin():
+    assert judge(wall(0.1, BUILDING, height=9.0), 200, 0.0, BODY).closed > 0.95
+    assert judge(wall(0.05, OTHER, height=9.0), 200, 0.0, BODY).closed == 0  # as a wire is seen
+
+
+@pytest.mark.parametrize("density", [25, 50, 100, 400])
+def test_a_bar_overhead_is_canopy_and_the_walls_beside_it_are_not(density):
+    """Half of the pulses on the bar reach the ground; all points of both are higher than the vehicle."""
+    walls = [Solid(sign * 6.0, 0, 8.0, 0.3, 2.0) for sign in (-1, 1)]
+    bar = Solid(0, 0, 5.0, 0.3, 5.0, bottom=4.8, stops=0.5)
+    scene = Scene("bar between walls", (*walls, bar), half=11.0)
+    closed = []
+    for seed in range(6):
+        image, west, south = seen_pixels(survey_scene(scene, density, place=Place(20.0 * seed), seed=seed), BODY)
+        middle = 0.2 * (np.arange(len(image)) + 0.5)
+        x, y = Place(20.0 * seed).in_scene(*np.meshgrid(west + middle, south + middle[::-1]))
+        beneath = (np.abs(x) < 1.4) & (np.abs(y) < 0.15)
+        on_wall = (np.abs(np.abs(x) - 6.0) < 3.0) & (np.abs(y) < 0.1)
+        closed.append([(image[part] == OBSTACLE).mean() for part in (beneath, on_wall)])
+    bar_closed, wall_closed = np.mean(closed, axis=0)
+    assert bar_closed < 0.1
+    assert wall_closed > (0.9 if density >= 50 else 0.5)
+
+
+@pytest.mark.parametrize("density", [200, 50, 20])
+@pytest.mark.parametrize(
+    "name", ["carport", "bridge 5 m above ground, unassigned", "footbridge 1 m above ground, unassigned"]
+)
+def test_what_a_roof_or_a_bridge_hides_is_closed(name, density):
+    assert judge(BY_NAME[name], density, 0.03, BODY).closed > 0.9
+
+
+def test_a_vehicle_gets_through_gaps_that_it_fits_through():
+    for gap, share in ((0.0, 0.0), (1.0, 0.0), (3.0, 1.0)):
+        assert judge(seen_from_above(ring(gap)), 50, 0.03, BODY, seeds=range(4)).joined == share
+
+
+def test_a_fence_seen_here_and_there_is_one_line():
+    image, west, south = seen_pixels(survey_scene(fence(mesh=0.1), 100, sides=True, seed=3), BODY)
+    row, cols = len(image) - 1 - int(-south / 0.2), slice(int((-5.5 - west) / 0.2), int((5.5 - west) / 0.2))
+    assert np.all((image[row - 1 : row + 2, cols] == OBSTACLE).any(axis=0))
+
+
+@pytest.mark.parametrize(
+    ("every", "first", "last", "joins"), [(2, 34, 40, True), (1, 33, 41, False), (2, 30, 44, False)]
+)
+def test_a_line_of_few_points_has_wider_gaps_by_chance(every, first, last, joins):
+    """Of 2.5 points per m, 1.6 m apart; in a line of twice as many 2 m are a gap, and 3 m are one in any."""
+    states = np.full((75, 75), EMPTY, np.uint8)
+    states[::2, ::2] = FREE  # thinly seen ground
+    states[37, 1::every] = LONE  # points of a wall, but for some in the middle
+    states[37, first : last + 1] = FREE
+    settled = settle_solids(states, Grid(), FAR)
+    assert (settled[37, first : last + 1] == OBSTACLE).any() == joins
+
+
+def test_a_pixel_is_the_same_wherever_a_block_is_cut_out():
+    rng = np.random.default_rng(5)
+    scenes = (BY_NAME["crowns, unassigned"], BY_NAME["vans"], BY_NAME["hut, unassigned"], fence())
+    for scene, density in itertools.product(scenes, (8, 50)):
+        raw = mapped_tiles(survey_scene(scene, density, seed=int(rng.integers(99)), sides=True), BODY)
+        whole = settle_solids(raw, Grid(), FAR)
+        for row, col in 15 * rng.integers(0, len(raw) // 15 - 2, (4, 2)):
+            part = np.s_[row : row + 45, col : col + 45]
+            cut = settle_solids(np.ascontiguousarray(raw[part]), Grid(), FAR)
+            np.testing.assert_array_equal(cut[15:30, 15:30], whole[part][15:30, 15:30])

@@ -67,38 +67,3 @@ class LasMaker:
 @pytest.fixture
 def las(tmp_path):
     return LasMaker(tmp_path)
-
-
-@pytest.fixture
-def batches():
-    """Chunks of a reader as batches, in the order given, or in their own."""
-
-    def read_chunks(reader, points=500_000, order=None):
-        chunks = reader.chunks(points)
-        chosen = chunks if order is None else [chunks[i] for i in order]
-        return [reader.convert(chunk, reader.fetch(chunk)) for chunk in chosen]
-
-    return read_chunks
-
-
-def joined(clouds):
-    """Easting, northing, upward and kind of points, (n, 4)."""
-    tables = [np.column_stack([cloud.easting, cloud.northing, cloud.upward, cloud.kind]) for cloud in clouds]
-    return np.concatenate([np.zeros((0, 4)), *tables])
-
-
-@pytest.fixture
-def table():
-    """Points that count of some batches: easting, northing, upward and kind, (n, 4)."""
-    return lambda found: joined(batch.cloud for batch in found)
-
-
-@pytest.fixture
-def read():
-    """All points that count, (n, 3) in metres, and which are ground."""
-
-    def read_all(reader, points=1_000_000):
-        clouds = list(reader.clouds(points))
-        return joined(clouds)[:, :3], np.concatenate([np.zeros(0, bool), *(cloud.is_ground for cloud in clouds)])
-
-    return read_all

@@ -8,7 +8,7 @@ import laspy
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from survey_kinds import KINDS, write_kind
+from survey_kinds import KINDS, batches_of, table_of, write_kind
 
 from bumpymap.core import loops
 from bumpymap.core.errors import BadInputError, UsageError
@@ -56,24 +56,24 @@ def check_extent(stats, table):
     assert stats.highest == np.fmax.reduce(np.abs(table[:, 2]), initial=0.0)
 
 
+def joined(found):
+    return table_of(batch.cloud for batch in found)
+
+
 def merged(found):
     return reduce(PointStats.merge, [batch.stats for batch in found], PointStats())
 
 
-def in_order(points):
-    return points[np.lexsort(points.T)]
-
-
 @pytest.mark.parametrize("packing", ["plain", "chunks", "variable"])
 @pytest.mark.parametrize(("version", "fmt"), FORMATS)
-def test_chunks_are_what_laspy_reads(las, batches, table, version, fmt, packing):
+def test_chunks_are_what_laspy_reads(las, version, fmt, packing):
     path = survey(las, version=version, fmt=fmt, geokeys={1024: 1, 3072: 2276})
     expected, counts, dropped = oracle(path, 1200 / 3937)
     if packing != "plain":
         path = las.pack(path, 256) if packing == "chunks" else las.pack(path, counts=[1, 700, 299, 1500, 500])
     reader = open_survey(path, ReadOptions(colour=True))
-    found = batches(reader, 700)
-    assert np.array_equal(table(found), expected[counts])
+    found = batches_of(reader, 700)
+    assert np.array_equal(joined(found), expected[counts])
     if reader.has_colour:
         data = laspy.read(path)
         red, green, blue = (np.asarray(data[name], int) // DEEP.get(fmt, 1) for name in ("red", "green", "blue"))
@@ -94,39 +94,35 @@ def test_chunks_are_what_laspy_reads(las, batches, table, version, fmt, packing)
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("points", [64, 10_000])
-def test_any_order_of_chunks_of_any_size_gives_the_same_points(tmp_path, batches, table, kind, points):
+def test_any_order_of_chunks_of_any_size_gives_the_same_points(tmp_path, kind, points):
     rng = np.random.default_rng(points)
     path = write_kind(kind, tmp_path, np.round(rng.uniform(0, 100, (400, 3)), 3) + CORNER)
     reader = open_survey(path)
-    whole = batches(open_survey(path))
+    whole = batches_of(open_survey(path))
     order = rng.permutation(len(reader.chunks(points)))
-    mixed = batches(reader, points, order)
-    assert np.array_equal(table([mixed[i] for i in np.argsort(order)]), table(whole))
+    mixed = batches_of(reader, points, order)
+    assert np.array_equal(joined([mixed[i] for i in np.argsort(order)]), joined(whole))
     assert merged(mixed) == merged(whole)
     reader.verify(merged(mixed))
     assert reader.checksum() == hash_survey(path)
 
 
-def test_long_points_make_small_chunks_and_are_whole_in_pieces_of_any_size(las, batches, table, monkeypatch):
+def test_long_points_make_small_chunks_and_are_whole(las):
     """However long a point is, a chunk fits into memory."""
     path = survey(las, count=200)
-    expected, data = table(batches(open_survey(path))), path.read_bytes()
-    for piece in (7, 100, 4096):
-        with monkeypatch.context() as patch:
-            patch.setattr("bumpymap.readers.las._PIECE_BYTES", piece)
-            assert np.array_equal(table(batches(open_survey(path))), expected)
+    expected, data = joined(batches_of(open_survey(path))), path.read_bytes()
     start = int.from_bytes(data[96:100], "little")
     wide = np.zeros((200, 65_000), np.uint8)
     wide[:, :30] = np.frombuffer(data[start:], np.uint8).reshape(200, 30)
     path.write_bytes(data[:start] + wide.tobytes())
     reader = open_survey(las.patch(path, 105, "<H", 65_000))
     assert all(chunk.points * 65_000 <= 1 << 26 for chunk in reader.chunks())
-    assert np.array_equal(table(batches(reader)), expected)
+    assert np.array_equal(joined(batches_of(reader)), expected)
     with pytest.raises(UsageError, match="at least 1"):
         reader.chunks(0)
     path.write_bytes(data[:-40])
     with pytest.raises(BadInputError, match="points"):
-        batches(open_survey(path))
+        batches_of(open_survey(path))
 
 
 # ---- what is counted of points, and the verdict on a file ----

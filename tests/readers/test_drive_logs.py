@@ -11,7 +11,6 @@ pytest.importorskip("pyulog")
 pytest.importorskip("rosbags")
 
 from bags import header, imu, message, odometry, write_bag, write_ros1
-from drive_tables import refusal
 
 from bumpymap.core import BadInputError, missing_resource
 from bumpymap.readers import read_drive
@@ -33,16 +32,7 @@ def _field(text):
 
 
 def ulog(topics, dropouts=()):
-    """Bytes of a ULog.
-
-    Parameters
-    ----------
-    topics : dict
-        Name, perhaps with ``:instance`` -> (fields such as ``["uint64_t timestamp", "float[3] xyz"]``, rows of flat
-        numbers).
-    dropouts : sequence of int
-        ms.
-    """
+    """Bytes of a ULog of topics: name, perhaps with ``:instance`` -> (fields, rows of flat numbers); dropouts in ms."""
     parts = [MAGIC, struct.pack("<Q", 0), _message("B", bytes(40))]
     formats = {}
     for name, (fields, _) in topics.items():
@@ -54,17 +44,16 @@ def ulog(topics, dropouts=()):
     rows = []
     for number, (fields, values) in enumerate(topics.values()):
         layout = "<" + "".join(CODES[kind] * count for kind, count, _ in map(_field, fields))
-        rows += [
-            (row[0], _message("D", struct.pack("<H", number) + struct.pack(layout, *map(_plain, row))))
-            for row in values
-        ]
+        rows += [(row[0], _message("D", struct.pack("<H", number) + struct.pack(layout, *row))) for row in values]
     parts += [data for _, data in sorted(rows, key=lambda each: each[0])]
     parts += [_message("O", struct.pack("<H", each)) for each in dropouts]
     return b"".join(parts)
 
 
-def _plain(value):
-    return value.item() if hasattr(value, "item") else value
+def refusal(path, columns=None):
+    with pytest.raises(BadInputError) as caught:
+        read_drive(str(path), columns)
+    return str(caught.value)
 
 
 # ---- bags ----

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drive_tables import GRAVITY, NAMES, drive, gyro, refusal, renamed, write
 from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -12,6 +11,42 @@ from bumpymap.core import BadInputError, UsageError
 from bumpymap.readers import parse_columns, read_drive
 from bumpymap.readers.drive_signals import NAMES as KNOWN, Signal, body_rates, named_columns
 from bumpymap.readers.drive_tables import open_table
+
+GRAVITY = 9.81
+NAMES = ("time", "gyro_x", "gyro_y", "gyro_z", "acc_x", "acc_y", "acc_z", "lon", "lat")
+
+
+def drive(count=400, rate=100.0, start=0.0):
+    """Columns of a drive, by the names of `NAMES`."""
+    rng = np.random.default_rng(3)
+    time = start + np.arange(count) / rate
+    gyro = rng.normal(0.0, 0.2, (count, 3))
+    acceleration = np.array([0.0, 0.0, GRAVITY]) + rng.normal(0.0, 0.5, (count, 3))
+    lon, lat = -99.1 + 1e-7 * np.arange(count), 19.4 + 1e-7 * np.arange(count)
+    return dict(zip(NAMES, (time, *gyro.T, *acceleration.T, lon, lat), strict=True))
+
+
+def write(path, columns, separator=",", before="", end="\n"):
+    """Write columns; NaN as an empty cell."""
+    lines = [separator.join(columns)]
+    rows = zip(*columns.values(), strict=True)
+    lines += [separator.join("" if value != value else str(value) for value in row) for row in rows]  # noqa: PLR0124
+    path.write_text(before + end.join(lines) + end, encoding="utf-8", newline="")
+    return str(path)
+
+
+def renamed(columns, **names):
+    return {names.get(name, name): values for name, values in columns.items()}
+
+
+def refusal(path):
+    with pytest.raises(BadInputError) as caught:
+        read_drive(str(path))
+    return str(caught.value)
+
+
+def gyro(columns):
+    return np.stack([columns[f"gyro_{axis}"] for axis in "xyz"], axis=1)
 
 
 @pytest.mark.parametrize(
@@ -279,8 +314,18 @@ def test_accelerations_in_g_say_so_and_without_gravity_are_not_used(tmp_path, fa
 # ---- what is refused, and what is noted ----
 
 
+def test_what_is_not_there_or_too_large(tmp_path, monkeypatch):
+    assert "there is no file" in refusal(tmp_path / "a.csv")
+    assert "folder" in refusal(tmp_path)
+    with pytest.raises(UsageError, match="is empty"):
+        read_drive(" ")
+    monkeypatch.setattr("bumpymap.readers.drive_tables._MOST_BYTES", 1000)
+    with pytest.raises(BadInputError, match="Cut it into several drives"):
+        open_table(Path(write(tmp_path / "a.csv", drive())))
+
+
 @pytest.mark.parametrize(
-    ("data", "says"),
+    ("made", "says"),
     [
         (b"\n \n", "is empty"),
         (b"Dear diary\ntoday we drove, and it was bumpy.\n", "neither angular rates nor attitudes"),
@@ -294,27 +339,6 @@ def test_accelerations_in_g_say_so_and_without_gravity_are_not_used(tmp_path, fa
         (b"wx,wy,wz\n1,2,3\n", "no column named time"),
         (b"time,wx,wy,wz\n0,0,0,1\n1,2,0,1\n", "2 samples"),
         (b"\xa3\x95\x80\x80" + bytes(200), "mavlogdump.py --format csv --types IMU log.BIN > log_imu.csv"),
-    ],
-)
-def test_what_is_no_drive(tmp_path, data, says):
-    path = tmp_path / ("log.BIN" if "BIN" in says else "a.csv")
-    path.write_bytes(data)
-    assert says in refusal(path)
-
-
-def test_what_is_not_there_or_too_large(tmp_path, monkeypatch):
-    assert "there is no file" in refusal(tmp_path / "a.csv")
-    assert "folder" in refusal(tmp_path)
-    with pytest.raises(UsageError, match="is empty"):
-        read_drive(" ")
-    monkeypatch.setattr("bumpymap.readers.drive_tables._MOST_BYTES", 1000)
-    with pytest.raises(BadInputError, match="Cut it into several drives"):
-        open_table(Path(write(tmp_path / "a.csv", drive())))
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
         (lambda c: c["time"].__setitem__(slice(200, None), c["time"][200:] - 1.5), "run backwards 1 times"),
         (lambda c: c.update(time=np.floor(c["time"])), "too coarse"),
         (lambda c: c["time"].fill(np.nan), "holds no times"),
@@ -328,10 +352,15 @@ def test_what_is_not_there_or_too_large(tmp_path, monkeypatch):
         (lambda c: c["lat"].fill(4807.038), "without minutes"),
     ],
 )
-def test_columns_that_cannot_be_meant(tmp_path, change, says):
-    columns = drive()
-    change(columns)
-    assert says in refusal(write(tmp_path / "a.csv", columns))
+def test_what_is_no_drive_or_holds_columns_that_cannot_be_meant(tmp_path, made, says):
+    path = tmp_path / ("log.BIN" if "BIN" in says else "a.csv")
+    if isinstance(made, bytes):
+        path.write_bytes(made)
+    else:
+        columns = drive()
+        made(columns)
+        write(path, columns)
+    assert says in refusal(path)
 
 
 def test_repeated_times_broken_lines_and_gaps_are_noted(tmp_path):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ply_files import write_ply
-from survey_kinds import TABLES, write_table
+from survey_kinds import TABLES, read_points, write_table
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.readers import ReadOptions, open_survey
@@ -31,10 +31,10 @@ def faces(name="face", count=2):
 @every_form
 @pytest.mark.parametrize("chunk", [1, 3, 100])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_every_encoding_and_precision(tmp_path, read, form, dtype, chunk):
+def test_every_encoding_and_precision(tmp_path, form, dtype, chunk):
     path = write(tmp_path / "a", form, dtype=dtype, more={"ring": np.arange(5, dtype=np.uint16)})
     reader = open_survey(path)
-    points, ground = read(reader, chunk)
+    points, ground = read_points(reader, chunk)
     assert np.array_equal(points, POINTS)  # a point at the origin is a point
     assert not ground.any()
     info = reader.info
@@ -46,10 +46,10 @@ def test_every_encoding_and_precision(tmp_path, read, form, dtype, chunk):
 @every_form
 @pytest.mark.parametrize("spelling", ["classification", "scalar_Classification", "class"])
 @pytest.mark.parametrize("dtype", [np.uint8, np.float32])
-def test_classes(tmp_path, read, form, spelling, dtype):
+def test_classes(tmp_path, form, spelling, dtype):
     classes = {spelling: np.array([2, 1, 7, 18, 2], dtype)}
     reader = open_survey(write(tmp_path / "a", form, more=classes))
-    points, ground = read(reader, 2)
+    points, ground = read_points(reader, 2)
     assert np.array_equal(points, POINTS[[0, 1, 4]])
     assert ground.tolist() == [True, False, True]
     assert reader.dropped == {"withheld": 0, "noise": 2, "not_a_number": 0}
@@ -58,13 +58,13 @@ def test_classes(tmp_path, read, form, spelling, dtype):
 
 @every_form
 @pytest.mark.parametrize("chunk", [1, 2, 100])
-def test_coordinates_that_are_no_numbers(tmp_path, read, form, chunk):
+def test_coordinates_that_are_no_numbers(tmp_path, form, chunk):
     """NaN in PCD is a beam without return; in PLY it is damage, as an infinite coordinate is in both."""
     points = POINTS.copy()
     points[0] = points[3, 1] = np.nan
     reader = open_survey(write(tmp_path / "a", form, points))
     if form.startswith("pcd"):
-        assert np.array_equal(read(reader, chunk)[0], POINTS[[1, 2, 4]])
+        assert np.array_equal(read_points(reader, chunk)[0], POINTS[[1, 2, 4]])
         assert reader.dropped == {"withheld": 0, "noise": 0, "not_a_number": 2}
     else:
         with pytest.raises(BadInputError, match=r"holds 2 points.*first is point 0 "):
@@ -104,12 +104,12 @@ def test_headers_that_cannot_be_believed(tmp_path, kind, old, new, says):
 
 
 @pytest.mark.parametrize("form", PLY)
-def test_other_elements_are_passed_over_and_lists_in_the_way_refused(tmp_path, read, form):
+def test_other_elements_are_passed_over_and_lists_in_the_way_refused(tmp_path, form):
     cameras = "camera", np.zeros(4, [("focal", "f4"), ("id", "u1")])
     before = [cameras, faces("edge")][: 2 if form == "ply ascii" else 1]
     path = write(tmp_path / "a.ply", form=form, before=before, after=[faces()])
     for chunk in (1, 2, 100):
-        assert np.array_equal(read(open_survey(path), chunk)[0], POINTS)
+        assert np.array_equal(read_points(open_survey(path), chunk)[0], POINTS)
     rows = np.zeros(5, [("x", "f8"), ("y", "f8"), ("z", "f8"), ("seen_by", object)])
     rows["seen_by"] = [[1, 2], [3], [4, 5, 6], [7], [8]]
     with pytest.raises(BadInputError, match=r"has lists \(seen_by\) and is not read.*Export it again"):
@@ -120,17 +120,17 @@ def test_other_elements_are_passed_over_and_lists_in_the_way_refused(tmp_path, r
 
 
 @pytest.mark.parametrize("line_end", [b"\n", b"\r\n"])
-def test_line_ends_spare_blanks_and_more_digits_than_a_float_has(tmp_path, read, line_end):
+def test_line_ends_spare_blanks_and_more_digits_than_a_float_has(tmp_path, line_end):
     text = b"ply|format ascii 1.0|comment X|element vertex 3|property float x|property float y|property float z|"
     text += b"end_header|1 2 3 |  4   5 6||500000.001 4000000.002 10.003|"
     path = tmp_path / "a.ply"
     path.write_bytes(text.replace(b"|", line_end))
     for chunk in (1, 2, 3):
-        points, _ = read(open_survey(path), chunk)
+        points, _ = read_points(open_survey(path), chunk)
         assert points.tolist() == [[1, 2, 3], [4, 5, 6], [500000.001, 4000000.002, 10.003]]
     head, data = write(path).read_bytes().split(b"end_header\n")
     path.write_bytes(head.replace(b"\n", line_end) + b"end_header" + line_end + data)
-    assert np.array_equal(read(open_survey(path))[0], POINTS)
+    assert np.array_equal(read_points(open_survey(path))[0], POINTS)
 
 
 BINARY = [form for form in TABLES if form.split()[1] != "ascii"]
@@ -193,10 +193,10 @@ def bomb(path, points, claimed=0):
         (100_000, 0, 3_300_000, None),
     ],
 )
-def test_a_compressed_file_unpacks_to_its_points_and_to_no_flood(tmp_path, read, points, claimed, memory, says):
+def test_a_compressed_file_unpacks_to_its_points_and_to_no_flood(tmp_path, points, claimed, memory, says):
     path = bomb(tmp_path / "a.pcd", points, claimed)
     if says is None:
-        assert len(read(open_survey(path, ReadOptions(memory=memory)))[0]) == points
+        assert len(read_points(open_survey(path, ReadOptions(memory=memory)))[0]) == points
     else:
         with pytest.raises(BadInputError, match=says):
             open_survey(path, ReadOptions(memory=memory))
@@ -230,9 +230,9 @@ def test_what_is_no_point_cloud_is_named(tmp_path, content, says):
         open_survey(path)
 
 
-def test_content_counts_and_not_the_ending(las, read, tmp_path):
+def test_content_counts_and_not_the_ending(las, tmp_path):
     path = tmp_path / "really.ply"
     shutil.copy(las.write("a.laz"), path)
     reader = open_survey(path)
     assert reader.info.format.startswith("LAZ")
-    assert np.array_equal(read(reader)[0], las.points)
+    assert np.array_equal(read_points(reader)[0], las.points)

@@ -225,19 +225,14 @@ def of_camera(poses):
     return TR @ lidar @ np.linalg.inv(TR)
 
 
-def write_calib(folder):
-    words = " ".join(map(repr, map(float, TR[:3].ravel())))
-    (folder / "calib.txt").write_text(f"P0: {kitti_row()}\nTr: {words}\n")
-    return folder / "calib.txt"
-
-
 @pytest.mark.parametrize("inside", ["", "sequences/00"])
 def test_the_camera_poses_of_kitti_become_those_of_the_lidar(tmp_path, caplog, inside):
     """Odometry of LiDAR scans is written in KITTI's format too, and stays as it is."""
     _, poses = drive()
     path = write(tmp_path / "00.txt", kitti_rows(of_camera(poses)), separator=" ")
     frames = numbered(tmp_path / "sequences/00/velodyne", 40)
-    calib = write_calib(tmp_path / inside)
+    calib = tmp_path / inside / "calib.txt"
+    calib.write_text(f"P0: {kitti_row()}\nTr: {' '.join(map(repr, map(float, TR[:3].ravel())))}\n")
     found = read_poses(path, frames)
     np.testing.assert_allclose(found.poses, np.linalg.inv(poses[0]) @ poses, atol=1e-9)
     assert found.calib == calib

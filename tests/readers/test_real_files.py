@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from survey_kinds import read_points
 
 from bumpymap.core import common_georeference, horizontal_of
 from bumpymap.core.errors import BadInputError
@@ -50,9 +51,9 @@ PLAIN = [f"pdrf{name}" for name in ("4-1.3", "5-1.3", "6-1.4", "8-1.4", "9-1.4",
     ("one", "other"),
     [*((f"{name}.las", f"{name}.laz") for name in PLAIN), ("copc_ellipsoid.laz", "copc_ellipsoid.copc.laz")],
 )
-def test_twins_hold_the_same_points(one, other, read):
+def test_twins_hold_the_same_points(one, other):
     readers = [open_survey(LAS / "loadersgl" / name) for name in (one, other)]
-    tables = [np.column_stack(read(reader)) for reader in readers]
+    tables = [np.column_stack(read_points(reader)) for reader in readers]
     if ".copc." in other:
         assert readers[1].info.format.startswith("COPC")
         tables = [table[np.lexsort(table.T)] for table in tables]
@@ -77,7 +78,7 @@ def test_crs_and_units_of_real_files(name, code, unit, unit_z):
     assert (place.metres_per_unit, place.metres_per_unit_z) == (unit, unit_z)
 
 
-def test_points_of_ply_files_are_those_of_trimesh(read):
+def test_points_of_ply_files_are_those_of_trimesh():
     trimesh, compared = pytest.importorskip("trimesh"), 0
     for path in sorted(PLY.rglob("*.ply")):
         try:
@@ -87,6 +88,6 @@ def test_points_of_ply_files_are_those_of_trimesh(read):
         if seen["x"].size == 0:
             continue
         expected = np.column_stack([np.asarray(seen[axis], np.float64).ravel() for axis in "xyz"])
-        np.testing.assert_allclose(read(open_survey(path))[0], expected, rtol=1e-6, atol=1e-6, err_msg=str(path))
+        np.testing.assert_allclose(read_points(open_survey(path))[0], expected, rtol=1e-6, atol=1e-6, err_msg=str(path))
         compared += 1
     assert compared >= 20

@@ -144,16 +144,6 @@ def test_real_scans(shared_data, name, points, dropped):
 # ---- the number of columns of a .bin scan is told from its values: never wrong, and in doubt asked for ----
 
 
-def made_up(lines, columns, seed):
-    """Returns line by line: x, y, z, intensity, ring, time; (0, 0, 0) without a return."""
-    rng = np.random.default_rng(seed)
-    rows = np.zeros((lines * columns, 6), np.float32)
-    rows[:, :3] = rng.uniform(-50.0, 50.0, (len(rows), 3)) * (rng.random((len(rows), 1)) > 0.05)
-    rows[:, 3] = rng.uniform(0.1, 0.5, len(rows))
-    rows[:, 4], rows[:, 5] = np.divmod(np.arange(len(rows)), columns) / np.array([[1.0], [10.0 * columns]])
-    return rows
-
-
 def seen(rows):
     return rows[(rows[:, :3] != 0.0).any(axis=1)]
 
@@ -164,15 +154,11 @@ def as_bytes(rows):
     return np.column_stack([rows[:, :3], np.rint(rows[:, 3] * 255), rows[:, 4:]])
 
 
-def with_nan(rows):
-    return np.where((rows[:, :3] == 0.0).all(axis=1)[:, None] & (np.arange(6) < 3), np.nan, rows)
-
-
 ORDERS = {
     "organised": lambda rows: rows,
     "shuffled": lambda rows: np.random.default_rng(1).permutation(seen(rows)),
     "bytes": as_bytes,
-    "nan": with_nan,
+    "nan": lambda rows: np.where((rows[:, :3] == 0.0).all(axis=1)[:, None] & (np.arange(6) < 3), np.nan, rows),
     "thin": lambda rows: seen(rows)[::17],
 }
 
@@ -188,7 +174,12 @@ def read(path, values, columns=None):
 def test_made_up_scans_of_any_order_are_told_and_no_answer_is_wrong(tmp_path, order, seed):
     """Random sizes, cuts and orders: the right width, or a refusal; of a whole scan, the width."""
     rng, path = np.random.default_rng(seed), tmp_path / "a.bin"
-    rows = ORDERS[order](made_up(int(rng.choice([16, 31, 64])), int(rng.integers(500, 900)), seed))
+    lines, columns = int(rng.choice([16, 31, 64])), int(rng.integers(500, 900))
+    rows = np.zeros((lines * columns, 6), np.float32)  # x, y, z, intensity, ring, time; (0, 0, 0) without a return
+    rows[:, :3] = rng.uniform(-50.0, 50.0, (len(rows), 3)) * (rng.random((len(rows), 1)) > 0.05)
+    rows[:, 3] = rng.uniform(0.1, 0.5, len(rows))
+    rows[:, 4], rows[:, 5] = np.divmod(np.arange(len(rows)), columns) / np.array([[1.0], [10.0 * columns]])
+    rows = ORDERS[order](rows)
     rows = rows[: len(rows) // 60 * 60]  # the size fits every width
     kept = seen(rows[np.isfinite(rows[:, 0])])
     for width in (4, 5, 6):

@@ -7,13 +7,11 @@ from itertools import pairwise, permutations
 import numpy as np
 import pytest
 import shapely
-from click.testing import CliRunner
-from route_maps import write_folder
+from route_maps import place, site, write_folder
 from route_oracles import by_heading, gap_to_closed, reach_by_graph, smooth_field, with_slope
-from route_sites import place, site
+from small_surveys import run
 from tile_maps import TileMap
 
-from bumpymap.cli import main
 from bumpymap.core import Barred, DirectionSettings, axis_values, slope_cost
 from bumpymap.route import CostSettings, ground, measure
 from bumpymap.route.ground import CostGround, sample_line
@@ -36,20 +34,14 @@ def measured(site, corners, **settings):
     return measure_way(CostGround(site, CostSettings(**settings), 10**6), line, line[[0, -1]])
 
 
-def lengths_by_shapely(site, corners):
-    """Length [m] of a line inside each tile, (rows, cols)."""
-    rows, cols = site.c_r.shape
-    row, col = np.mgrid[0:rows, 0:cols]
-    line = shapely.LineString(np.array(corners)[:, ::-1])
-    return shapely.length(shapely.intersection(line, shapely.box(col, row, col + 1, row + 1))) * SIZE
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_figures_are_sums_over_the_lengths_in_each_tile(seed):
     site = random_map(seed=seed)
     corners = np.random.default_rng(seed).uniform((1, 1), (29, 39), (5, 2))
     found = measured(site, corners).figures
-    length = lengths_by_shapely(site, corners)
+    row, col = np.indices(site.c_r.shape)
+    inside = shapely.intersection(shapely.LineString(corners[:, ::-1]), shapely.box(col, row, col + 1, row + 1))
+    length = shapely.length(inside) * SIZE
     hazard = -np.log1p(-site.p_fail.astype(float)) / 10.0
     assert found.length_m == pytest.approx(length.sum(), rel=1e-9)
     assert found.c_r_mean == pytest.approx((length * site.c_r).sum() / length.sum(), rel=1e-6)
@@ -160,9 +152,7 @@ def test_an_open_line_says_what_it_costs_and_a_point_nothing():
 
 def test_the_command_its_files_and_the_page_say_it(tmp_path):
     layers, out = write_folder(tmp_path / "layers", site()), tmp_path / "way"
-    words = ["route", str(layers), "--from", place(12.5, 5.5), "--to", place(12.5, 25.5), "--out", str(out)]
-    done = CliRunner().invoke(main, words)
-    assert done.exit_code == 0, done.output
+    done = run("route", layers, "--from", place(12.5, 5.5), "--to", place(12.5, 25.5), "--out", out, code=0)
     (said,) = [line for line in done.stdout.splitlines() if line.startswith("The straight line, 60 m, is closed")]
     assert "too steep" in said
     straight = json.loads((out / "route.json").read_text())["routes"][0]["straight"]

@@ -1,4 +1,4 @@
-"""The ride of a line: closed forms, directions, what is unknown."""
+"""The ride of a line and the figures of its road: closed forms, published coefficients, directions, what is unknown."""
 
 import json
 import math

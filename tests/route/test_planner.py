@@ -281,11 +281,6 @@ def test_a_window_that_memory_does_not_hold_is_refused():
 CODES = (Barred.SLOPE, Barred.OBSTACLE, Barred.UNKNOWN, Barred.STEP, Barred.SPLIT)
 
 
-def stone_centres(site):
-    """Middles of the pixels that hold stones, m."""
-    return (np.floor(np.array(site.stones) / site.grid.pixel_size) + 0.5) * site.grid.pixel_size
-
-
 def stony_map(seed, size=(26, 34)):
     """A map with closed tiles and stones, some of them beside the ends; and the ends."""
     rng = np.random.default_rng(seed)
@@ -313,7 +308,8 @@ def test_a_way_touches_nothing_and_is_there_wherever_a_search_over_pixels_finds_
     assert way_cost(ground, line) <= 1.03 * best
     way = shapely.LineString(line)
     along = shapely.get_coordinates(shapely.line_interpolate_point(way, np.arange(0.0, way.length, 0.01)))
-    apart = np.hypot(*(along[:, None] - stone_centres(site)).T).min(axis=0)
+    middles = (np.floor(np.array(site.stones) / site.grid.pixel_size) + 0.5) * site.grid.pixel_size
+    apart = np.hypot(*(along[:, None] - middles).T).min(axis=0)
     assert apart.min() > 0.5 * site.vehicle.width_m - 0.01
     assert ground.is_clear(line)
 

@@ -11,13 +11,10 @@ import pytest
 import shapely
 import xarray
 from pyproj import CRS, Proj, Transformer
-from ring_maps import crossed_by_tools, is_reached
-from rings import HALF_M, Ring
-from route_maps import bare_map, write_folder
-from route_records import CORNERS, UTM, MadeUpMap, make_route
-from route_sites import COLS, ROWS, SOUTH, WEST, place, site
+from rings import HALF_M, Ring, crossed_by_tools, is_reached
+from route_maps import COLS, ROWS, SOUTH, WEST, bare_map, place, site, write_folder
 from small_surveys import files_in
-from tile_maps import TileMap
+from tile_maps import CORNERS, UTM, MadeUpMap, TileMap, make_route
 
 import bumpymap
 from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference, OutputError, UsageError

@@ -1,28 +1,6 @@
-import shutil
-
 import pytest
-from small_surveys import run
 
 from bumpymap.survey import Budget
-
-
-@pytest.fixture(scope="session")
-def killed_at():
-    """Function that maps until a place of bumpymap is reached, and leaves in a folder what a kill then leaves."""
-
-    def stop_at(place, left, *words):
-        out = left.with_name(f"{left.name} killed")
-
-        def killed(*_, **__):
-            shutil.copytree(out, left)
-            raise KeyboardInterrupt
-
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(f"bumpymap.{place}", killed)
-            result = run("map", *words, "--out", out)
-        assert result.exit_code == 130, result.output
-
-    return stop_at
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""What is foretold of a run: unknown tiles, memory, disk; and what run.json says of the survey."""
+"""What is foretold of a run, what run.json says of a survey, and steps between flight lines: told, and no others."""
 
 import json
 import os
@@ -9,35 +9,28 @@ from datetime import date
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from blake3 import blake3
 from ply_files import write_ply
-from small_surveys import run, write_las
+from small_surveys import alike_surveys, layers_of, run, write_las
 
 import bumpymap
 from bumpymap.core import FeatureSettings, Reason, SeenSizes, TooUnknownError
 from bumpymap.layers import MapSummary, ZoneCounts, write_products as write
-from bumpymap.readers import ReadOptions, open_survey
+from bumpymap.readers import LineSums, ReadOptions, open_survey
+from bumpymap.readers.point_stats import LinedPoints
 from bumpymap.survey import Budget, FlightLines, MapResult, estimate, ground_line
 from bumpymap.survey.advice import Outcome, advise
+from bumpymap.survey.flight_lines import compare_lines, describe_lines
 from bumpymap.survey.run_record import survey_record
 from bumpytiles import Grid
 
 pytestmark, later = pytest.mark.slow, pytest.mark.later
 
 
-def write_random(path, density, ground_share=0.0, side=60.0):
-    """Write points at random over a square of 20 x 20 tiles."""
-    rng = np.random.default_rng(3)
-    count = int(density * side**2)
-    x, y = 500001 + rng.uniform(0.001, side - 0.001, count), 4000002 + rng.uniform(0.001, side - 0.001, count)
-    z, kind = rng.normal(0.0, 0.02, count), np.where(rng.random(count) < ground_share, 2, 1).astype(np.uint8)
-    return write_las(path, x, y, z, crs=None, classification=kind)
-
-
 def answer(*words):
-    result = run(*words)
-    assert result.exit_code == 0, result.output
+    result = run(*words, code=0)
     return json.loads(result.stdout.strip().splitlines()[-1] if words[0] == "map" else result.stdout)
 
 
@@ -51,7 +44,11 @@ def foretold_and_found(out, *words):
 
 @pytest.mark.parametrize(("density", "ground_share"), [(0.4, 0.0), (5.0, 0.0), (14.0, 0.02), (0.4, 0.8), (60.0, 0.5)])
 def test_what_is_foretold_is_found(tmp_path, density, ground_share):
-    foretold, found = foretold_and_found(tmp_path / "out", write_random(tmp_path / "a.laz", density, ground_share))
+    rng, count = np.random.default_rng(3), int(density * 60**2)
+    x, y = rng.uniform(0.001, 59.999, (2, count)) + np.array([[500_001], [4_000_002]])  # 20 x 20 tiles
+    kind = np.where(rng.random(count) < ground_share, 2, 1).astype(np.uint8)
+    survey = write_las(tmp_path / "a.laz", x, y, rng.normal(0.0, 0.02, count), crs=None, classification=kind)
+    foretold, found = foretold_and_found(tmp_path / "out", survey)
     assert foretold == pytest.approx(found, abs=0.02)
 
 
@@ -136,11 +133,10 @@ def test_which_ground_a_survey_wants(found, words):
 def test_more_unknown_tiles_than_allowed_are_exit_code_4_and_keep_the_layers(tmp_path):
     out = tmp_path / "out"
     words = ("map", QUARRY, "--out", out, "--quiet", "--set")
-    failed = run(*words, "max_unknown=0.1%")
-    assert failed.exit_code == 4
+    failed = run(*words, "max_unknown=0.1%", code=4)
     assert "max_unknown" in failed.output
     assert json.loads((out / "run.json").read_text())["counts"]["unknown"] > 0
-    assert run(*words, "max_unknown=50%").exit_code == 0  # the same run, already done
+    run(*words, "max_unknown=50%", code=0)  # the same run, already done
     with pytest.raises(TooUnknownError):
         bumpymap.map_survey(QUARRY, out, max_unknown=0.001)
 
@@ -203,8 +199,7 @@ def map_and_look(surveys, folder, budget, monkeypatch):
 
     monkeypatch.setattr("bumpymap.layers.write_products", write_products)
     options = ("--out", folder / "layers", "--set", f"scratch={folder / 'scratch'}", "--local", "--quiet")
-    result = run("map", *surveys, *options)
-    assert result.exit_code == 0, result.output
+    run("map", *surveys, *options, code=0)
     found["layers"] = bytes_in(folder / "layers")
     found["count"] = json.loads((folder / "layers" / "run.json").read_text())["counts"]["tiles"]
     return foretold, found
@@ -280,4 +275,155 @@ def test_info_says_what_a_run_takes(tmp_path):
     read = answer("info", cloud, ply, "--json")["run"]
     assert (read["points"], read["scratch_bytes_at_most"]) == (101, 0)
     assert 2 <= read["tiles_at_most"] <= 10
-    assert run("info", QUARRY, "--quick", "--set", "memory=1MB").exit_code == 2
+    run("info", QUARRY, "--quick", "--set", "memory=1MB", code=2)
+
+
+# ---- steps between flight lines: told, and nothing else ----
+
+
+WIDTH = 60.0
+CORNER = np.array([500_010.0, 4_000_000.0])
+
+
+def ground(x, y):
+    """Hills with slopes up to 20 degrees, and bumps."""
+    return 300 + 6 * np.sin(x / 25) + 5 * np.cos(y / 19) + 0.05 * np.sin(2 * x) * np.sin(3 * y)
+
+
+def strips(errors, *, overlap=0.5, density=20, length=120.0, noise=0.02, bushes=0.0, seed=0):
+    """Strips side by side; ``errors`` are functions of x and y from the first strip's corner, one for each."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for number, error in enumerate(errors):
+        n = int(density * WIDTH * length)
+        x, y = rng.uniform(0, WIDTH, n) + number * WIDTH * (1 - overlap), rng.uniform(0, length, n)
+        z = ground(x, y) + error(x, y) + noise * rng.normal(size=n)
+        z += (rng.random(n) < bushes) * rng.uniform(0, 1.5, n)
+        parts.append((x + CORNER[0], y + CORNER[1], z.round(3), np.full(n, number + 1)))
+    x, y, z, line = (np.concatenate(axis) for axis in zip(*parts, strict=True))
+    return LinedPoints(x, y, z, np.zeros(len(x), np.uint8), line.astype(np.uint16))
+
+
+def constant(value):
+    return lambda x, y: value + 0 * x  # noqa: ARG005
+
+
+def compared(points):
+    return compare_lines(LineSums.of(points))
+
+
+@pytest.mark.parametrize(("step", "density"), [(-0.04, 4), (0.3, 60), (30.0, 20)])
+def test_a_constant_step_is_told(step, density):
+    found = compared(strips([constant(0.0), constant(step)], density=density))
+    assert found.pairs[0].step == pytest.approx(step, abs=0.005)
+    assert "Have the producer do a strip adjustment" in describe_lines(found)
+
+
+def test_a_tilt_is_told():
+    (pair,) = compared(strips([constant(0.0), lambda x, y: 0.02 + 0.003 * (x - 45) + 0 * y])).pairs
+    assert pair.tilt == pytest.approx((0.003, 0.0), abs=3e-4)
+    assert pair.step == pytest.approx(0.02, abs=0.005)
+
+
+def test_a_chain_of_four_lines():
+    offsets = (0.0, 0.05, -0.03, 0.02)
+    found = compared(strips([constant(value) for value in offsets], overlap=0.4))
+    assert [pair.lines for pair in found.pairs] == [(1, 2), (2, 3), (3, 4)]
+    assert [pair.step for pair in found.pairs] == pytest.approx(np.diff(offsets), abs=0.005)
+
+
+@pytest.mark.parametrize("errors", [[constant(0.0)], [constant(0.0), constant(0.0)]])
+def test_nothing_is_told_where_nothing_is_wrong(errors):
+    found = compared(strips(errors))
+    assert found.lines == len(errors)
+    assert found.largest < 0.005
+    assert describe_lines(found) == ""
+
+
+def test_waves_of_a_bad_boresight_are_told_as_spread():
+    found = compared(strips([constant(0.0), lambda x, y: 0.1 * np.sin(y / 5) + 0 * x]))
+    assert found.pairs[0].spread > 0.04
+
+
+def test_only_ground_is_compared_where_the_survey_is_classified():
+    points = strips([constant(0.0), constant(0.04)], density=40)
+    rng = np.random.default_rng(1)
+    wood = rng.random(len(points.x)) < 0.5
+    higher = points._replace(z=points.z + wood * (8.0 + 0.5 * points.line), kind=(~wood).astype(np.uint8))
+    found = compared(higher)
+    assert abs(found.pairs[0].step - 0.04) < 0.005
+
+
+SITE = (500_016.0, 4_000_032.0, 300.0)
+STEP = 0.04
+
+
+def two_strips(step, seed=0, n=10_000):
+    """Two strips of gently rolling ground, 60 m wide, that share half; x, y, z, line.
+
+    5 points per m2 and strip: where a pixel holds points of both, their step is taken for noise, not for relief.
+    """
+    rng, parts = np.random.default_rng(seed), []
+    for line in (1, 2):
+        x, y = rng.uniform(0, 60, n) + 30 * (line - 1), rng.uniform(0, 36, n)
+        z = 0.5 * np.sin(x / 7) + 0.02 * np.sin(2 * y) + 0.005 * rng.normal(size=x.size)
+        z += step * (line == 2)
+        parts.append(np.column_stack([x.round(3), y.round(3), z.round(4), np.full(x.size, line)]))
+    return np.concatenate(parts)
+
+
+def write_strips(path, rows):
+    line, scales = rows[:, 3].astype(np.uint16), (0.001, 0.001, 0.0001)
+    return write_las(path, *(rows[:, :3] + SITE).T, offset=SITE, scales=scales, point_source_id=line)
+
+
+def mapped(out, *words):
+    with alike_surveys():
+        return " ".join(run("map", "--out", out, *words, code=0).output.split())
+
+
+def lines_of(out):
+    return json.loads((out / "run.json").read_text())["flight_lines"]
+
+
+def overlap_c_r(out):
+    """Median ride cost of the tiles that both strips cover."""
+    tiles = pq.read_table(out / "tiles.parquet", columns=["col", "c_r"]).to_pydict()
+    east = np.array(tiles["col"]) * 3 - SITE[0]
+    return float(np.nanmedian(np.array(tiles["c_r"], float)[(east >= 30) & (east < 57)]))
+
+
+@pytest.fixture(scope="module")
+def stepped(tmp_path_factory):
+    return write_strips(tmp_path_factory.mktemp("stepped") / "a.laz", two_strips(STEP))
+
+
+def test_a_step_is_reported_and_reads_as_roughness(stepped, tmp_path):
+    single = write_strips(tmp_path / "single.laz", two_strips(0.0))
+    mapped(tmp_path / "single", single)
+    said = mapped(tmp_path / "report", stepped)
+    assert "heights of 1 and 2 differ by 4.0 cm" in said
+    (pair,) = lines_of(tmp_path / "report")["pairs"]
+    assert abs(pair["step"] - STEP) < 0.002
+    wanted, rough = (overlap_c_r(out) for out in (tmp_path / "single", tmp_path / "report"))
+    assert rough > 1.1 * wanted
+
+
+def test_off_measures_nothing_and_report_changes_no_height(stepped, tmp_path):
+    for align in ("off", "report"):
+        mapped(tmp_path / align, stepped, "--align", align)
+    assert layers_of(tmp_path / "off") == layers_of(tmp_path / "report")
+    assert lines_of(tmp_path / "off") == {"lines": 0, "pairs": []}
+    again = mapped(tmp_path / "report", stepped)
+    assert "Already done" in again
+    assert "heights of 1 and 2 differ" in again
+
+
+def test_info_tells_the_step_of_a_file_and_of_all(stepped, tmp_path):
+    (file,) = json.loads(run("info", stepped, "--json").stdout)["files"]
+    assert abs(file["flight_lines"]["pairs"][0]["step"] - STEP) < 0.002
+    rows = two_strips(STEP)
+    files = [write_strips(tmp_path / f"{line}.laz", rows[rows[:, 3] == line]) for line in (1, 2)]
+    text = " ".join(run("info", *files).output.split())
+    assert "heights of 1 and 2 differ by 4.0 cm" in text
+    assert "strip adjustment" in text

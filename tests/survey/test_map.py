@@ -11,7 +11,7 @@ import pytest
 import rasterio
 from made_quarry import tiles_of
 from pyproj import CRS
-from small_surveys import files_in, layers_of, run, write_las
+from small_surveys import band, files_in, killed_at, layers_of, run, write_las
 
 from bumpymap.core.run_folder import locked
 from bumpymap.layers.products import VIEW_NAMES
@@ -40,8 +40,7 @@ def survey(site, tmp_path_factory):
 @pytest.fixture(scope="module")
 def layers(survey):
     out = survey.parent / "layers"
-    result = run("map", survey, "--out", out)
-    assert result.exit_code == 0, result.output
+    run("map", survey, "--out", out, code=0)
     return out
 
 
@@ -50,8 +49,7 @@ def test_the_smooth_half_is_smoother_than_the_rubble(layers):
         c_r = raster.read(raster.descriptions.index("c_r") + 1)
         assert c_r.shape == (10, 10)
         assert raster.bounds == (500_001, 4_000_002, 500_031, 4_000_032)
-    with rasterio.open(layers / "rasters/class.tif") as raster:
-        class_id = raster.read(1)
+    class_id = band(layers / "rasters/class.tif")
     assert np.median(c_r[:, 6:]) > 5 * np.median(c_r[:, :4])
     assert class_id[:, 6:].min() > class_id[:, :4].max()
 
@@ -67,8 +65,7 @@ def test_a_survey_in_feet_gives_the_tiles_of_the_same_survey_in_metres(site, tmp
     bare = write_las(tmp_path / "bare.laz", x / us_foot, y / us_foot, z / us_foot, crs=None, offset=in_feet)
     given = ("--local", "--xy-unit", "us-ft")
     for file, extra in ((metres, ()), (feet, ()), (mixed, ("--z-unit", "m")), (bare, given)):
-        result = run("map", file, "--out", tmp_path / file.stem, *extra)
-        assert result.exit_code == 0, result.output
+        result = run("map", file, "--out", tmp_path / file.stem, *extra, code=0)
         assert "metres are assumed" not in result.output
     assert "metres are assumed" in run("map", bare, "--out", tmp_path / "assumed", "--local").output
     medians = {}
@@ -90,8 +87,7 @@ def inodes(folder):
 @pytest.mark.parametrize("extra", [(), ("--skip-bad", "--threads", 1, "--memory", "300MB")])
 def test_a_run_that_is_complete_is_done_already(layers, survey, extra):
     before = inodes(layers)
-    again = run("map", survey, "--out", layers, *extra)
-    assert again.exit_code == 0, again.output
+    again = run("map", survey, "--out", layers, *extra, code=0)
     assert "Already done" in again.output
     assert "60,000 points, 100 tiles" in again.output
     assert json.loads(run("map", survey, "--out", layers, *extra, "--json").stdout)["already_done"] is True
@@ -115,7 +111,7 @@ def test_layers_that_a_gis_saved_its_styles_and_statistics_beside_are_still_a_co
     for name in VIEW_NAMES:
         (out / name).unlink(missing_ok=True)
     assert "Already done" in run("map", survey, "--out", out).output
-    assert run("map", survey, "--out", out, "--overwrite").exit_code == 0
+    run("map", survey, "--out", out, "--overwrite", code=0)
     for name in ("rasters/class.qml", "map.qgs"):
         assert (out / name).read_bytes() == (layers / name).read_bytes()
     assert not (out / "rasters/roughness.tif.aux.xml").exists()
@@ -126,7 +122,7 @@ def test_a_complete_run_of_something_else_says_what_differs(site, layers, survey
     out = tmp_path / "out"
     moved = tmp_path / "site.laz"
     shutil.copy(survey, moved)
-    assert run("map", moved, "--out", out).exit_code == 0
+    run("map", moved, "--out", out, code=0)
     os.utime(moved)
     assert "Already done" in run("map", moved, "--out", out).output
     content = bytearray(moved.read_bytes())
@@ -139,8 +135,7 @@ def test_a_complete_run_of_something_else_says_what_differs(site, layers, survey
         ((more,), [f"{moved} was an input, but is not given now", f"{more} is given now, but was not an input"]),
         ((survey, "--vehicle", "car", "--crs", "EPSG:32614"), ["vehicle was warthog, is car", "crs was not given, is"]),
     ):
-        refused = run("map", *given, "--tile-size", 3.0, "--out", out)
-        assert refused.exit_code == 3
+        refused = run("map", *given, "--tile-size", 3.0, "--out", out, code=3)
         assert [word for word in words if word not in refused.output] == []
         assert [word for word in ("calibration", "tile_size", "{") if word in refused.output] == []
     assert files_in(out) == before
@@ -162,8 +157,7 @@ def test_a_run_in_a_folder_that_another_run_writes_to_touches_nothing(survey, la
         (folder / "run_spec.json").write_text("{}")
     with locked(out):
         before = inodes(out)
-        refused = run("map", survey, "--out", out, "--overwrite")
-        assert refused.exit_code == 3
+        refused = run("map", survey, "--out", out, "--overwrite", code=3)
         assert f"another run is writing to {out}: pid {os.getpid()} on " in refused.output
         assert inodes(out) == before
 
@@ -183,11 +177,9 @@ def test_products_that_are_links_are_replaced_and_not_followed(survey, layers, t
     (out / "cost.fgb").symlink_to(mine / "folder")
     (out / ".bumpymap-layers-0").symlink_to(mine / "folder")
     (out / "rasters/class.tif.aux.xml").symlink_to(mine / "raster.tif")
-    refused = run("map", survey, "--out", out)
-    assert refused.exit_code == 3
+    refused = run("map", survey, "--out", out, code=3)
     assert "already holds rasters/roughness.tif, rasters/class.tif, cost.fgb " in refused.output
-    done = run("map", survey, "--out", out, "--overwrite")
-    assert done.exit_code == 0, done.output
+    run("map", survey, "--out", out, "--overwrite", code=0)
     assert inodes(mine) == before
     assert layers_of(real) == layers_of(layers)
     assert not [path for path in real.rglob("*") if path.is_symlink()]
@@ -195,15 +187,14 @@ def test_products_that_are_links_are_replaced_and_not_followed(survey, layers, t
 
 def test_without_a_crs_the_user_is_told_what_to_pass(site, tmp_path):
     file = write_las(tmp_path / "nowhere.laz", *site, crs=None)
-    refused = run("map", file, "--out", tmp_path / "layers")
-    assert refused.exit_code == 3
+    refused = run("map", file, "--out", tmp_path / "layers", code=3)
     assert "--crs" in refused.output
     assert "--local" in refused.output
     assert list((tmp_path / "layers").glob("*")) == []
-    assert run("map", file, "--out", tmp_path / "local", "--local").exit_code == 0
+    run("map", file, "--out", tmp_path / "local", "--local", code=0)
     with rasterio.open(tmp_path / "local" / "rasters/class.tif") as raster:
         assert raster.crs is None
-    assert run("map", file, "--out", tmp_path / "given", "--crs", "EPSG:32614").exit_code == 0
+    run("map", file, "--out", tmp_path / "given", "--crs", "EPSG:32614", code=0)
     assert pyogrio.read_info(tmp_path / "given" / "cost.fgb")["crs"] == "EPSG:32614"
 
 
@@ -211,14 +202,12 @@ def test_without_a_crs_the_user_is_told_what_to_pass(site, tmp_path):
 def demo(tmp_path_factory):
     """What the demo makes of the sample survey."""
     out = tmp_path_factory.mktemp("demo")
-    result = run("demo", "--out", out)
-    assert result.exit_code == 0, result.output
+    run("demo", "--out", out, code=0)
     return out
 
 
 def test_the_demo_maps_the_sample_survey_and_runs_twice(demo):
-    result = run("demo", "--out", demo)
-    assert result.exit_code == 0, result.output
+    result = run("demo", "--out", demo, code=0)
     assert str(demo / "layers" / "map.qgs") in result.output
     assert (demo / "survey" / "quarry.laz").read_bytes() == QUARRY.read_bytes()
     refused = run("demo", "--out", QUARRY)
@@ -248,17 +237,16 @@ def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(demo):
 @pytest.mark.parametrize(
     "place", ["survey.engine.run.decide_ground", "layers.write_products", "core.run_folder._remove"]
 )
-def test_a_killed_run_goes_on_and_ends_with_the_same_bits(survey, layers, tmp_path, limit_points, killed_at, place):
+def test_a_killed_run_goes_on_and_ends_with_the_same_bits(survey, layers, tmp_path, limit_points, place):
     """When the points are read, when the tiles are measured, and when the layers are in place."""
     left = tmp_path / "left"
     limit_points(chunk=5_000, waiting=20_000, block=8_000)
     killed_at(place, left, survey)
     if place != "core.run_folder._remove":
         assert list(left.glob(".bumpymap-run/*"))
-        other = run("map", survey, "--out", left, "--ground", "all")
-        assert other.exit_code == 2
+        other = run("map", survey, "--out", left, "--ground", "all", code=2)
         assert "\n  ground was auto, is all\n" in other.output
         assert "--overwrite to discard it" in other.output
-    assert run("map", survey, "--out", left).exit_code == 0
+    run("map", survey, "--out", left, code=0)
     assert layers_of(left) == layers_of(layers)
     assert not (left / ".bumpymap-run").exists()

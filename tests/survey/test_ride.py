@@ -1,15 +1,18 @@
-"""The ride of a map: at another speed, by heading, of few points, in tiles of other sizes, by the paper's rules."""
+"""Which points of a survey are ground, and its ride: at other speeds, by heading, of few points, in other tiles."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
+import laspy
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import rasterio
-from scipy.ndimage import map_coordinates
-from small_surveys import files_in, run, write_las
+from scipy.ndimage import label, map_coordinates
+from small_surveys import files_in, killed_at, layers_of, run, write_las
 
 import bumpymap
 from bumpymap.core import INCLUDED_PIXELS, MapConfig, UsageError, with_pixels
@@ -20,6 +23,199 @@ from bumpymap.rating.calibration import shipped_calibrations
 from bumpymap.survey.tile_rating import RatingModels
 
 pytestmark = pytest.mark.slow
+
+EAST, NORTH = 500_013.0, 4_000_020.0
+SEAM = 52.0
+"""m from the west; not a border of tiles."""
+
+
+def made_site(code, seed=0, size=(108.0, 60.0)):
+    """Rolling ground with bushes and a wall across the border of a classified part and one of class ``code``.
+
+    Returns x, y, z [m] and class of each point.
+    """
+    rng = np.random.default_rng(seed)
+    x, y = (np.round(rng.uniform(0.0, side, int(60 * size[0] * size[1])), 3) for side in size)
+    z = 0.03 * x + 0.3 * np.sin(x / 9.0) + rng.normal(0.0, 0.01, len(x))
+    bush = ((x // 6 + y // 6) % 3 == 0) & (rng.random(len(x)) < 0.2)
+    wall = (np.abs(y - 31.0) < 0.4) & (x > 20.0) & (x < 80.0)
+    z += np.where(wall, 1.5, np.where(bush, rng.uniform(0.0, 1.0, len(x)), 0.0))
+    classes = np.where(x > SEAM, code, np.where(wall | bush, 1, 2))
+    return np.column_stack([x, y, np.round(z, 3), classes])
+
+
+def write(path, points):
+    x, y, z, classes = points.T
+    return write_las(path, EAST + x, NORTH + y, z, classification=classes.astype(np.uint8))
+
+
+def mapped(surveys, out, *options):
+    run("map", *surveys, "--out", out, "--quiet", *options, code=0)
+    return json.loads((out / "run.json").read_text()), pq.read_table(out / "tiles.parquet").drop(["bbox", "geometry"])
+
+
+def same(one, other, chosen):
+    """Compare the chosen rows of two tables, in the columns of the second but for the zones of a map."""
+    rows = [table.filter(pa.array(chosen)) for table in (one.select(other.column_names), other)]
+    heights = [np.stack(each["heights"].to_numpy()) for each in rows]
+    frames = [each.drop(["heights", "zone"]).to_pandas() for each in rows]
+    return np.array_equal(*heights, equal_nan=True) and frames[0].equals(frames[1])
+
+
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory):
+    """Layers of the site as it comes, of class 1 in the east, and of all and of ground points alone."""
+    folder = tmp_path_factory.mktemp("mixed")
+    survey = write(folder / "site.laz", made_site(1))
+    return folder, {kind: mapped([survey], folder / kind, "--ground", kind) for kind in ("auto", "all", "class")}
+
+
+def test_each_part_is_rated_as_if_it_were_the_whole_survey(mixed):
+    folder, found = mixed
+    record, table = found["auto"]
+    from_seam = 3.0 * table["col"].to_numpy() + 1.5 - EAST - SEAM
+    source = table["ground_source"].to_numpy()
+    assert np.array_equal(source[np.abs(from_seam) > 3.0], (from_seam > 0)[np.abs(from_seam) > 3.0])
+    assert record["tiles_from_all_points"] == source.sum()
+    known = table["class"].is_valid().to_numpy(zero_copy_only=False)
+    assert known[np.abs(from_seam) < 3.0].mean() > 0.9
+    dense = table["coverage"].to_numpy() > 0.8  # the noise of thin tiles is that of their whole block
+    assert same(table, found["all"][1], dense & (from_seam > 6.0))
+    assert same(table, found["class"][1], dense & (from_seam < -6.0))
+    assert not same(table, found["class"][1], dense & (from_seam > 6.0))
+    told = run("map", folder / "site.laz", "--out", folder / "auto").output
+    assert f"measured from ground points, {source.sum()} from all points: that part of the survey is not c" in told
+    assert "ground_source" not in found["all"][1].column_names + found["class"][1].column_names
+    told = " ".join(run("info", folder / "site.laz").output.split())
+    about, of = map(int, re.search(r"about (\d+) tiles of (\d+) are of a part that is not classified", told).groups())
+    assert (of, about) == (len(source), pytest.approx(source.sum(), rel=0.06))
+
+
+def test_no_way_leads_over_the_wall_that_stands_on_both_sides_of_the_border(mixed):
+    table = mixed[1]["auto"][1]
+    x, y = (3.0 * table[axis].to_numpy() + 1.5 - first for axis, first in (("col", EAST), ("row", NORTH)))
+    passable = table["passable"].to_numpy(zero_copy_only=False)
+    beside = passable & (x > 24.0) & (x < 76.0)
+    tiles = np.zeros((40, 40), np.bool_)
+    at = (y // 3).astype(int), (x // 3).astype(int)
+    tiles[at] = beside
+    areas = label(tiles, np.ones((3, 3)))[0][at]
+    south, north = (set(areas[beside & (side * (y - 31.0) > 2.0)].tolist()) for side in (-1, 1))
+    assert south
+    assert north
+    assert not south & north
+    assert passable[np.abs(y - 31.0) > 6.0].mean() > 0.5
+
+
+def test_a_run_killed_on_the_way_goes_on(mixed, tmp_path, limit_points):
+    folder, _ = mixed
+    limit_points(chunk=40_000, waiting=100_000)
+    killed_at("survey.engine.run._save_joined", tmp_path / "out", folder / "site.laz")
+    run("map", folder / "site.laz", "--out", tmp_path / "out", code=0)
+    assert layers_of(tmp_path / "out") == layers_of(folder / "auto")
+
+
+def test_where_most_was_never_classified_the_rest_is_still_measured_from_its_ground(tmp_path):
+    points = made_site(0)
+    points[points[:, 0] > 30.0, 3] = 0
+    record, table = mapped([write(tmp_path / "site.laz", points)], tmp_path / "out")
+    assert record["ground_only"]
+    assert 0.6 < record["tiles_from_all_points"] / len(table) < 0.8
+
+
+def test_roofs_water_and_woods_in_a_classified_survey_are_no_ground(tmp_path):
+    """A roof of 20 m, a pond without points and a wood of 36 m at the edge, all of class 1 without ground below."""
+    x, y, z, classes = made_site(2).T
+    classes[(classes == 2) & (x > SEAM)] = 2
+    roof, pond, wood = (x > 20) & (x < 40) & (y > 34) & (y < 54), (x > 10) & (x < 30) & (y < 16), x > 72
+    z, classes = z + np.where(roof, 5.0, np.where(wood, 6.0, 0.0)), np.where(roof | wood, 1, classes)
+    survey = write(tmp_path / "site.laz", np.column_stack([x, y, z, classes])[~pond])
+    record, table = mapped([survey], tmp_path / "auto")
+    mapped([survey], tmp_path / "class", "--ground", "class")
+    refused = run("map", survey, "--out", tmp_path / "none", "--ground", "class", "--ground-classes", "40")
+    assert (refused.exit_code, "has a class of --ground-classes" in refused.output) == (3, True), refused.output
+    assert record["ground_only"]
+    assert "tiles_from_all_points" not in record
+    assert layers_of(tmp_path / "auto") == layers_of(tmp_path / "class")
+    east = 3.0 * table["col"].to_numpy() - EAST
+    north = 3.0 * table["row"].to_numpy() - NORTH
+    inside = (east > 73) | ((east > 20) & (east < 37) & (north > 34) & (north < 51))
+    assert inside.sum() > 200
+    assert set(np.array(table["reason_text"])[inside]) == {"no ground points"}
+    assert bumpymap.open(tmp_path / "auto").tiles()["class"][inside].isna().all()
+
+
+CRS = "EPSG:32614"
+
+
+def made_road(path, density, ramp):
+    """A meadow with a road of 9 m from west to east, in the middle on a bridge over a valley 5 m deep.
+
+    Its last 12 m in the east are of the class ``ramp``.
+    """
+    rng = np.random.default_rng(5)
+    x, y = rng.uniform(0.0, 60.0, (2, int(density * 60 * 48)))
+    on_road, valley = np.abs(y - 24.0) < 4.5, np.abs(x - 30.0) < 9.0
+    is_deck = on_road & valley
+    z = np.where(valley & ~is_deck, -5.0, 0.0) + rng.normal(0.0, 0.02, len(x))
+    classes = np.select([is_deck, on_road & (x > 48.0), on_road], [17, ramp, 11], 2)
+    beneath = is_deck & (np.abs(y - 24.0) > 3.5) & (rng.random(len(x)) < 0.3)  # seen from the side
+    z, classes = np.where(beneath, -5.0, z), np.where(beneath, 2, classes)
+    house = (x > 3) & (x < 9) & (y > 3) & (y < 9)
+    z, classes = np.where(house, 4.0, z), np.where(house, 6, classes)
+    write_las(path, 500_000 + x, 4_000_000 + y, z, crs=CRS, offset=(500_000, 4_000_000, 0), classification=classes)
+
+
+@pytest.mark.parametrize("density", [50, pytest.param(450, marks=pytest.mark.later)])
+def test_classes_of_one_survey_together(tmp_path, density):
+    """Ground, a building, a road, a bridge deck and structures of class 26, flush with the road."""
+    made_road(tmp_path / "road.laz", density, ramp=26)
+    for folder, given in (("without", ()), ("out", ("--ground-classes", "2,11,17,26"))):
+        run("map", tmp_path / "road.laz", "--out", tmp_path / folder, "--quiet", *given, code=0)
+        table = bumpymap.open(tmp_path / folder).tiles()
+        x, y = (3.0 * table[axis].to_numpy() + 1.5 - at for axis, at in (("col", 500_000), ("row", 4_000_000)))
+        road, deck = np.abs(y - 24.0) < 3.0, np.abs(x - 30.0) < 7.5
+        ends = road & ((np.abs(x - 10.5) < 8.5) | ((x > 41.0) & (x < 47.0)))
+        for part in (ends, (np.abs(y - 24.0) < 2.0) & deck):
+            assert part.sum() >= 4
+            assert (table["class"][part] == 0).all()
+            assert table["passable"][part].all()
+        assert not table["passable"][(np.abs(np.abs(y - 24.0) - 4.5) < 1.5) & (np.abs(x - 30.0) < 6.0)].any()
+        on_ramp = table[road & (x > 49.0) & (x < 59.0)]
+        assert len(on_ramp) >= 4
+        assert (on_ramp["class"] == 0).all() if given else (on_ramp["reason_text"] == "no ground points").all()
+    told = run("info", tmp_path / "road.laz", "--set", "ground_classes=2,26").output
+    assert "; ground" in told.split("class 26", 1)[1].splitlines()[0]
+
+
+def test_info_names_classes_that_lie_on_the_ground_with_their_share_and_height(tmp_path):
+    """A track of class 40, named in the file, and trees of class 64, 4 m above the ground beside them."""
+    rng = np.random.default_rng(4)
+    x, y = rng.uniform(0.0, 60.0, (2, 60_000))
+    classes = np.select([np.abs(y - 31.5) < 4.5, (np.abs(y - 48.0) < 3.0) & (rng.random(len(x)) < 0.5)], [40, 64], 2)
+    z = 0.1 * x + np.where(classes == 64, 4.0, 0.0)
+    survey = laspy.create(point_format=6, file_version="1.4")
+    lookup = b"".join(bytes([code]) + name.ljust(15, b"\0") for code, name in ((40, b"forest track"), (64, b"\x01bad")))
+    survey.header.vlrs.append(laspy.VLR("LASF_Spec", 0, "Classification lookup", lookup))
+    survey.header.scales, survey.header.offsets = [0.001] * 3, [500_001.0, 4_000_002.0, 0.0]
+    survey.x, survey.y, survey.z = 500_001.0 + x, 4_000_002.0 + y, z
+    survey.classification = classes.astype(np.uint8)
+    survey.write(str(tmp_path / "a.laz"))
+    words = ("info", tmp_path / "a.laz", "--crs", CRS)
+    facts = json.loads(run(*words, "--json").stdout)["files"][0]
+    assert facts["class_names"] == {"40": "forest track"}
+    assert facts["class_tiles"] == pytest.approx({"2": 0.85, "40": 0.15, "64": 0.1}, abs=0.005)
+    heights = facts["class_heights_m"]
+    assert heights.pop("2") is None
+    assert heights == pytest.approx({"40": 0.0, "64": 4.0}, abs=0.05)
+    told = run(*words).output
+    assert re.search(r"class 40 +forest track: 1[45]\.\d% of the points, in 15% of the tiles", told)
+    assert "points of class 40 lie on the ground" in told
+    assert "--ground-classes 2,11,17,40" in told
+    assert "lie on the ground" not in run(*words, "--set", "ground_classes=2,40").output
+
+
+# ---- the ride ----
 
 
 @pytest.fixture(scope="module")
@@ -39,8 +235,7 @@ def maps(survey, tmp_path_factory):
     out = tmp_path_factory.mktemp("maps")
     wanted = {"plain": (), "headings": ("--set", "headings=true"), "fast": ("--speed", 2)}
     for name, options in wanted.items():
-        made = run("map", survey, "--out", out / name, *options)
-        assert made.exit_code == 0, made.output
+        run("map", survey, "--out", out / name, *options, code=0)
     return out
 
 
@@ -102,7 +297,7 @@ def mapped_meadow(folder, density, noise=0.01, rms=0.0, thin_east=1.0):
         axis = np.broadcast_to(np.arange(0.0, SIDE, step), (int(SIDE / step),) * 2)
         z += map_coordinates(fractal(rng, axis, 0.5, rms), [y / step, x / step], order=1, mode="nearest")
     write_las(folder / "meadow.las", 500_000 + x, 4_000_000 + y, z)
-    assert run("map", folder / "meadow.las", "--out", folder / "out", "--quiet").exit_code == 0
+    run("map", folder / "meadow.las", "--out", folder / "out", "--quiet", code=0)
     return bumpymap.open(folder / "out").tiles()
 
 

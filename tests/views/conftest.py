@@ -1,17 +1,13 @@
 """Made-up maps with pages and exports, a comparison, and a made-up scan with its classes."""
 
-import json
-import re
-import zlib
-from base64 import b64decode
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from check_records import made_up_check
+from check_records import made_up_check, on_site
 from classed_site import classed_fixture, nothing_fixture, scan_fixture  # noqa: F401 (found by pytest)
-from cost_maps import with_objects
-from ring_maps import write_points
+from cost_maps import make_field, with_objects
+from rings import write_points
 from route_maps import write_folder
 from scenes import Place, Scene, Solid, survey_scene
 from survey_pairs import COLS, ROWS, survey
@@ -21,43 +17,8 @@ from bumpymap.check.pipeline import write_check
 from bumpymap.layers import open_map
 
 
-class ReadPage:
-    """What a page holds, read as a browser would."""
-
-    def __init__(self, path):
-        self.text = path.read_text(encoding="utf-8")
-        self.data = json.loads(
-            re.search(r'<script type="application/json" id="report-data">(.*?)</script>', self.text)[1]
-        )
-
-    def codes(self, name, at=0):
-        about = self.data["maps"][at]
-        return self.bytes_of(about[name], about)
-
-    def objects(self):
-        about = self.data["maps"][0]["objects"]
-        return self.bytes_of(about["codes"], about)
-
-    @staticmethod
-    def bytes_of(text, about):
-        return np.frombuffer(zlib.decompress(b64decode(text)), np.uint8).reshape(about["rows"], about["cols"])
-
-    def values(self, key, at=0):
-        about = self.data["maps"][at]
-        (grid,) = [grid for grid in about["grids"] if grid["key"] == key]
-        codes = self.bytes_of(grid["codes"], about).astype(float)
-        plain = grid["low"] + grid["step"] * codes
-        values = {"log": np.exp, "root": lambda root: root * np.abs(root)}.get(grid["scale"], np.array)(plain)
-        return np.where(codes == 255, np.nan, values), grid
-
-
-@pytest.fixture(name="read_page", scope="session")
-def read_page_fixture():
-    return ReadPage
-
-
 @pytest.fixture(scope="session")
-def site(tmp_path_factory, make_field):
+def site(tmp_path_factory):
     """Layers of 40 x 30 tiles with every class and reason, and objects."""
     return write_folder(tmp_path_factory.mktemp("report") / "site", with_objects(make_field(40, 30)))
 
@@ -82,21 +43,7 @@ def comparison(may):
 
 
 @pytest.fixture(scope="session")
-def on_site():
-    """Return a function that lays the stretches of a check over a map."""
-
-    def lay(result, site):
-        ground, n = open_map(site), len(result.stretches.drive)
-        bounds, part = ground.grid.window_bounds(ground.window), np.linspace(0.1, 0.9, n)
-        easting = bounds.west + part * (bounds.east - bounds.west)
-        northing = bounds.south + part * (bounds.north - bounds.south)
-        return replace(result, stretches=replace(result.stretches, easting=easting, northing=northing)), ground
-
-    return lay
-
-
-@pytest.fixture(scope="session")
-def checked(site, on_site, tmp_path_factory):
+def checked(site, tmp_path_factory):
     """A check of the map ``site``: its folder and its findings; names are markup."""
     bad = "<img src=x onerror=alert(1)>\"'</script><script>alert(2)</script>"
     result, ground = on_site(made_up_check(50, noise=0.35, unknown=[4], drives=2, warnings=[bad]), site)
@@ -115,7 +62,7 @@ def write_map():
 
 
 @pytest.fixture(scope="session")
-def folder(make_field, write_map, tmp_path_factory):
+def folder(write_map, tmp_path_factory):
     return write_map(with_objects(make_field(21, 16)), tmp_path_factory.mktemp("export") / "site")
 
 
@@ -125,7 +72,7 @@ def route_map(folder):
 
 
 @pytest.fixture(scope="session")
-def easy_folder(make_field, write_map, tmp_path_factory):
+def easy_folder(write_map, tmp_path_factory):
     """Most of it is passable."""
     return write_map(make_field(24, 20, easy=True, holes=0.05), tmp_path_factory.mktemp("export") / "easy")
 

@@ -14,14 +14,15 @@ import numpy as np
 import pytest
 import rasterio
 import shapely
-from check_records import made_up_check
-from cost_maps import lone_columns, table_of
+from check_records import made_up_check, on_site
+from cost_maps import lone_columns, make_field, table_of
+from page_outline import ReadPage
 from pyproj import CRS
 from route_maps import RUN, copy_folder, plant_photo, write_folder
-from route_records import UTM, MadeUpMap, make_route
 from skimage.color import deltaE_ciede2000, rgb2lab
-from small_surveys import run, write_survey
+from small_surveys import band, run, write_survey
 from survey_pairs import survey
+from tile_maps import UTM, MadeUpMap, make_route
 
 import bumpymap
 from bumpymap.check.pipeline import write_check
@@ -168,7 +169,7 @@ def test_a_photo_lies_as_light_over_the_map_in_place_of_the_relief(folder, tmp_p
 
 
 @pytest.mark.parametrize("crs", ["EPSG:32614+5703", None])
-def test_a_project_has_the_horizontal_crs_or_none(tmp_path, make_field, crs):
+def test_a_project_has_the_horizontal_crs_or_none(tmp_path, crs):
     cost_map = make_field(4, 4, georeference=Georeference(crs and CRS.from_user_input(crs)))
     write_layers(table_of(cost_map), tmp_path, local=crs is None)
     root = read(tmp_path / "map.qgs")
@@ -314,8 +315,7 @@ def test_colours_are_those_of_the_legend_under_mid_grey_light(folder, tmp_path, 
         with rasterio.open(path) as file:
             step = file.width // source.window.cols
             rasters[path.stem] = file.read(1)[step // 2 :: step, step // 2 :: step].ravel()
-    with rasterio.open(folder / "rasters/roughness.tif") as file:
-        island = file.read(file.descriptions.index("zone") + 1).ravel() == 2
+    island = band(folder / "rasters/roughness.tif", "zone").ravel() == 2
 
     def muted(colour):
         veiled = np.where(island[:, None], 0.4 * colour + 0.6 * 128, colour)
@@ -406,7 +406,7 @@ STRANGE_CRS = CRS.from_wkt(UTM.crs.to_wkt().replace(UTM.crs.name, STRANGE))
 
 
 @pytest.fixture(name="strange", scope="module")
-def strange_fixture(tmp_path_factory, on_site):
+def strange_fixture(tmp_path_factory):
     """Folders with a project; every text in them that a stranger may give is that name."""
     root = tmp_path_factory.mktemp("strange")
     calibration = RUN["calibration"] | {"vehicle": STRANGE, "preferences": {"description": STRANGE}}
@@ -537,10 +537,11 @@ def least_difference(found, seen):
 
 
 @pytest.mark.parametrize("seen", SEEN_BY.values(), ids=SEEN_BY)
-def test_colour_blind_readers_tell_classes_reasons_and_bars_apart(folder, seen, read_page):
+def test_colour_blind_readers_tell_classes_reasons_and_bars_apart_and_neighbouring_classes_in_grey(folder, seen):
     classes = [colour for _, colour, _ in palette(read(folder / "rasters/class.qml")).values()]
+    assert min(least_difference(pair, [[0.2126, 0.7152, 0.0722]] * 3) for pair in pairwise(classes)) > 12
     reasons = {code: colour for code, (_, colour, _) in palette(read(folder / "rasters/reason.qml")).items()}
-    codes = read_page(folder / "report.html").data["codes"]
+    codes = ReadPage(folder / "report.html").data["codes"]
     on_page = ["#{:02x}{:02x}{:02x}".format(*one) for one in (*codes["classColours"], codes["unknownColour"])]
     assert on_page[:-1] == classes
     assert least_difference(on_page, seen) > 12
@@ -548,14 +549,9 @@ def test_colour_blind_readers_tell_classes_reasons_and_bars_apart(folder, seen, 
     assert least_difference([bar for _, bar, _ in palette(read(folder / "rasters/barred.qml")).values()], seen) > 12
 
 
-def test_neighbouring_classes_are_told_apart_in_grey(folder):
-    classes = [colour for _, colour, _ in palette(read(folder / "rasters/class.qml")).values()]
-    assert min(least_difference(pair, [[0.2126, 0.7152, 0.0722]] * 3) for pair in pairwise(classes)) > 12
-
-
-def test_the_ride_cost_has_one_ramp_on_the_page_and_in_qgis(folder, read_page):
+def test_the_ride_cost_has_one_ramp_on_the_page_and_in_qgis(folder):
     items = list(read(folder / "rasters/roughness.qml").iter("item"))
-    site = read_page(folder / "report.html").data["maps"][0]
+    site = ReadPage(folder / "report.html").data["maps"][0]
     grid, ramp = next(grid for grid in site["grids"] if grid["key"] == "c_r"), site["ramps"]["c_r"]
     ends = np.exp(grid["low"] + grid["step"] * np.linspace(0, 254, len(ramp)))
     parts = np.array([parts_of(item.get("color")) for item in items], float)

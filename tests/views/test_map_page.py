@@ -10,24 +10,18 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import rasterio
 from cost_maps import make_field
-from page_outline import Outline, require_no_requests
+from page_outline import Outline, ReadPage, require_no_requests
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from pyproj import Transformer
 from route_maps import VEHICLE, change_bars, copy_folder, list_anew, write_folder
-from small_surveys import run, write_bomb, write_broken
+from small_surveys import band, run, write_bomb, write_broken
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, PageSettings, UsageError
 from bumpymap.views import page_header, write_report
 from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM
 from bumpymap.views.words import share
-
-
-def raster(folder, name, band=None):
-    with rasterio.open(folder / name) as file:
-        return file.read(file.descriptions.index(band) + 1 if band else 1)
 
 
 def counted(table):
@@ -39,8 +33,8 @@ def in_words(counts):
     return {name: f"{count:,}" for name, count in counts.items()}
 
 
-def test_the_page_asks_nobody_and_its_tables_equal_the_counts_of_the_run(site, read_page):
-    page = read_page(site / "report.html")
+def test_the_page_asks_nobody_and_its_tables_equal_the_counts_of_the_run(site):
+    page = ReadPage(site / "report.html")
     require_no_requests(page.text)
     assert len(page.text.encode()) < 2_000_000
     counts, tables = json.loads((site / "run.json").read_text())["counts"], Outline(page.text).tables
@@ -51,41 +45,41 @@ def test_the_page_asks_nobody_and_its_tables_equal_the_counts_of_the_run(site, r
     assert counted(tables["Why ground is not known"]) == in_words(counts["by_reason"])
 
 
-def test_values_of_the_page_are_those_of_the_rasters_within_its_rounding(site, read_page):
-    page = read_page(site / "report.html")
-    classes, ground = raster(site, "rasters/class.tif"), page.codes("ground")
+def test_values_of_the_page_are_those_of_the_rasters_within_its_rounding(site):
+    page = ReadPage(site / "report.html")
+    classes, ground = band(site / "rasters/class.tif"), page.codes("ground")
     known = classes != NO_CLASS
     assert known.any()
     assert (ground[known] == classes[known]).all()
     assert (ground[~known] >= UNKNOWN_FROM).all()
-    assert (page.codes("barred") == raster(site, "rasters/barred.tif")).all()
-    bands = {name: raster(site, "rasters/roughness.tif", name) for name in ("c_r", "p_fail", "slope")}
-    bands["cost"] = raster(site, "cost.tif")
-    for key, band in bands.items():
+    assert (page.codes("barred") == band(site / "rasters/barred.tif")).all()
+    bands = {name: band(site / "rasters/roughness.tif", name) for name in ("c_r", "p_fail", "slope")}
+    bands["cost"] = band(site / "cost.tif")
+    for key, values in bands.items():
         shown, grid = page.values(key)
-        wanted = np.where(known, band, np.nan)
+        wanted = np.where(known, values, np.nan)
         assert (np.isnan(shown) == np.isnan(wanted)).all(), key
         if grid["scale"] == "log":
             shown, wanted = np.log(shown), np.log(np.maximum(wanted, 1e-4))
         assert np.nanmax(np.abs(shown - wanted)) <= grid["step"] / 2 + 1e-6, key
     shown, grid = page.values("height")
-    blocks = raster(site, "rasters/heightmap.tif").reshape(30, 15, 40, 15).astype(float)
+    blocks = band(site / "rasters/heightmap.tif").reshape(30, 15, 40, 15).astype(float)
     count = np.isfinite(blocks).sum(axis=(1, 3))
     assert (np.isnan(shown) == (count == 0)).all()
     mean = np.nansum(blocks, axis=(1, 3)) / np.maximum(count, 1)
     assert np.abs(shown - mean)[count > 0].max() <= grid["step"] / 2 + 1e-3
     found = page.objects()
-    assert np.array_equal(found, raster(site, "rasters/obstacle.tif"))
+    assert np.array_equal(found, band(site / "rasters/obstacle.tif"))
     assert (found == OBSTACLE).any()
 
 
 @pytest.mark.parametrize(("limit", "most", "step"), [("_SIDE", 20, 2), ("_TILES", 25, 7)])
-def test_the_worst_tile_decides_a_pixel_of_several(site, tmp_path, monkeypatch, read_page, limit, most, step):
+def test_the_worst_tile_decides_a_pixel_of_several(site, tmp_path, monkeypatch, limit, most, step):
     import bumpymap.views.page.site as module
 
-    one = read_page(site / "report.html")
+    one = ReadPage(site / "report.html")
     monkeypatch.setattr(module, limit, most)
-    many = read_page(write_report(site, tmp_path / "coarse.html"))
+    many = ReadPage(write_report(site, tmp_path / "coarse.html"))
     assert many.data["maps"][0]["metres"] == 3 * step
     assert f"One pixel of the map is {3 * step} m, {step} x {step} tiles of 3 m. The worst tile decides" in many.text
     grounds, bars = ([page.codes(name) for page in (one, many)] for name in ("ground", "barred"))
@@ -108,7 +102,7 @@ def test_the_worst_tile_decides_a_pixel_of_several(site, tmp_path, monkeypatch, 
         assert seen[row, col] == standing[part[0], :, part[1]].any()
 
 
-def test_islands_are_passable_tiles_of_small_pieces(tmp_path, read_page):
+def test_islands_are_passable_tiles_of_small_pieces(tmp_path):
     folder = write_folder(tmp_path / "site", make_field(30, 20, easy=True))
     tiles = pq.read_table(folder / "tiles.parquet")
     at, zones = tiles.schema.get_field_index("zone"), 1 + (np.arange(len(tiles)) % 70 == 0)
@@ -119,14 +113,14 @@ def test_islands_are_passable_tiles_of_small_pieces(tmp_path, read_page):
     pq.write_table(numbered, folder / "tiles.parquet")
     for islands, wanted in ((1, zones > 1), (0, zones < 0)):
         list_anew(folder, counts=counts | {"zones": known | {"islands": islands}})
-        page = read_page(write_report(folder))
+        page = ReadPage(write_report(folder))
         about = page.data["maps"][0]
         found = page.bytes_of(about["islands"], about) if about["islands"] else np.zeros_like(page.codes("ground"))
         assert found.sum() == (wanted & free).sum()
         assert ("island, cut off" in page.text) == wanted.any()
 
 
-def test_names_are_text_and_places_of_the_machine_are_not_in_the_page(tmp_path, read_page):
+def test_names_are_text_and_places_of_the_machine_are_not_in_the_page(tmp_path):
     bad = "<script>alert('x')</script>\"&amp;\udce9.laz"
     plain, file = bad.replace("\udce9", ""), "<img src=x onerror=alert(1)>\"'&amp;\udce9.laz"
     places = ["/home/me/a b.laz", "C:\\me\\c.laz", "https://example.org/d.laz?key=1"]
@@ -143,7 +137,7 @@ def test_names_are_text_and_places_of_the_machine_are_not_in_the_page(tmp_path, 
         skipped={bad: "why"},
         model=plain,
     )
-    page = read_page(folder / "report.html")
+    page = ReadPage(folder / "report.html")
     outline = Outline(page.text)
     assert page.text.count("<script") == 2
     assert page.data["maps"][0]["name"] == plain
@@ -154,12 +148,12 @@ def test_names_are_text_and_places_of_the_machine_are_not_in_the_page(tmp_path, 
     assert not [private for private in ("key=1", "/home", str(tmp_path)) if private in page.text]
 
 
-def test_smooth_ground_looks_drivable_only_if_it_is_in_the_picture_without_script(tmp_path, read_page):
+def test_smooth_ground_looks_drivable_only_if_it_is_in_the_picture_without_script(tmp_path):
     """A steep but smooth slope, and ground of which nobody knows whether there is a way, are grey."""
     folder = write_folder(tmp_path / "easy", make_field(30, 20, easy=True, holes=0.0))
     coloured = {}
     for bar in (None, "too steep", "too little seen"):
-        page = read_page(write_report(change_bars(folder, 0, bar)))
+        page = ReadPage(write_report(change_bars(folder, 0, bar)))
         source = re.search(r'class="still" src="data:image/jpeg;base64,([^"]+)"', page.text)[1]
         picture = np.asarray(Image.open(io.BytesIO(b64decode(source))).convert("RGB")).astype(int)
         ground = page.codes("ground")
@@ -216,7 +210,7 @@ def test_what_cannot_be_made_says_why(site, tmp_path):
     assert not (tmp_path / "b.html").exists()
 
 
-def test_a_way_lies_on_the_map(site, tmp_path, read_page):
+def test_a_way_lies_on_the_map(site, tmp_path):
     corners = [(110_002 * 3.0, 680_004 * 3.0), (110_020 * 3.0, 680_022 * 3.0)]
     to_lonlat = Transformer.from_crs("EPSG:32614", "OGC:CRS84", always_xy=True)
     line = {"type": "LineString", "coordinates": [to_lonlat.transform(*corner) for corner in corners]}
@@ -224,7 +218,7 @@ def test_a_way_lies_on_the_map(site, tmp_path, read_page):
     about |= {"smallest_object_m": 0.69, "seen": "At 10 points/m2, objects narrower than 0.7 m are not seen."}
     collection = {"type": "FeatureCollection", "features": [{"type": "Feature", "properties": about, "geometry": line}]}
     (tmp_path / "route.geojson").write_text(json.dumps(collection))
-    page = read_page(write_report(site, tmp_path / "a.html", route=tmp_path))
+    page = ReadPage(write_report(site, tmp_path / "a.html", route=tmp_path))
     (way,) = page.data["maps"][0]["ways"]
     assert np.allclose(way["lines"][0], corners, atol=0.02)
     table = dict(Outline(page.text).tables["Figures of the way"])
@@ -245,8 +239,7 @@ def test_the_header_says_what_settings_say_and_holds_a_logo_made_anew(site, tmp_
     info.add_text("secret", "place")
     Image.new("RGB", (900, 300), "teal").save(tmp_path / "logo.png", pnginfo=info)
     words = ("page.client=Aix, <b>&", f"page.logo={tmp_path / 'logo.png'}", "page.title=North slope")
-    made = run("report", site, "--out", tmp_path / "a.html", *(word for text in words for word in ("--set", text)))
-    assert made.exit_code == 0, made.output
+    run("report", site, "--out", tmp_path / "a.html", *(word for text in words for word in ("--set", text)), code=0)
     text = (tmp_path / "a.html").read_text()
     assert ("<h1>North slope</h1>" in text, "for Aix, &lt;b&gt;&amp;</span>" in text) == (True, True)
     logo = b64decode(re.search(r'class="logo" src="data:image/png;base64,([^"]+)"', text)[1])

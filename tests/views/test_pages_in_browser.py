@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 import rasterio
 from axe_playwright_python.sync_playwright import Axe
-from page_outline import Outline
+from page_outline import Outline, ReadPage
 from pyproj import Transformer
 from route_maps import change_bars, copy_folder, list_anew, plant_photo
 
@@ -201,8 +201,8 @@ SWATCHES = """Object.fromEntries([...document.querySelectorAll('.legends li:has(
     return [entry.textContent.trim(), parts.map((part) => part.getAttribute('fill'))]; }))"""
 
 
-def test_ground_has_the_colours_of_its_legend_under_a_photo_of_one_grey(visit, grey, read_page):
-    page, about = visit(grey / "report.html"), read_page(grey / "report.html")
+def test_ground_has_the_colours_of_its_legend_under_a_photo_of_one_grey(visit, grey):
+    page, about = visit(grey / "report.html"), ReadPage(grey / "report.html")
     ground, barred, (c_r, _) = about.codes("ground"), about.codes("barred"), about.values("c_r")
     objects, swatches = about.objects(), page.evaluate(SWATCHES)
     islands = about.bytes_of(about.data["maps"][0]["islands"], about.data["maps"][0]) > 0
@@ -288,8 +288,8 @@ def first(chosen):
     return [int(place[0]) for place in np.nonzero(chosen)]
 
 
-def test_the_pointer_reads_what_the_grids_hold_and_unknown_ground_is_grey(visit, pages, read_page):
-    page, about = visit(pages["one"]), read_page(pages["one"])
+def test_the_pointer_reads_what_the_grids_hold_and_unknown_ground_is_grey(visit, pages):
+    page, about = visit(pages["one"]), ReadPage(pages["one"])
     ground, (c_r, _) = about.codes("ground"), about.values("c_r")
     row, col = first(ground == 2)
     text, _ = page.evaluate(POINT_AT, [row, col, "class"])
@@ -300,9 +300,9 @@ def test_the_pointer_reads_what_the_grids_hold_and_unknown_ground_is_grey(visit,
         assert np.ptp(colour) <= 2, f"unknown ground has a colour in the layer {key}"
 
 
-def test_ground_of_which_too_little_was_seen_shows_its_reason_and_no_class(visit, site, tmp_path, read_page):
+def test_ground_of_which_too_little_was_seen_shows_its_reason_and_no_class(visit, site, tmp_path):
     path = write_report(change_bars(copy_folder(site, tmp_path / "thin"), 0, "too little seen"))
-    page, place = visit(path), first(read_page(path).codes("barred") == Barred.LITTLE_SEEN)
+    page, place = visit(path), first(ReadPage(path).codes("barred") == Barred.LITTLE_SEEN)
     text, colour = page.evaluate(POINT_AT, [*place, "class"])
     assert "not known whether the vehicle can cross it: too little seen" in text
     assert np.ptp(colour) <= 2
@@ -310,8 +310,8 @@ def test_ground_of_which_too_little_was_seen_shows_its_reason_and_no_class(visit
     assert np.abs(np.subtract(colour, BARRED_COLOURS[Barred.LITTLE_SEEN][:3])).max() <= 2
 
 
-def test_the_pointer_reads_what_has_changed_and_what_is_not_compared_never_looks_unchanged(visit, pages, read_page):
-    page, about = visit(pages["change"]), read_page(pages["change"])
+def test_the_pointer_reads_what_has_changed_and_what_is_not_compared_never_looks_unchanged(visit, pages):
+    page, about = visit(pages["change"]), ReadPage(pages["change"])
     kinds, (heights, _), (rides, _) = about.codes("ground"), about.values("d_height"), about.values("d_c_r")
     row, col = first(kinds == 2)
     text, colour = page.evaluate(POINT_AT, [row, col, "changed"])

@@ -1,13 +1,16 @@
-"""Pictures of ground and scans: what is where, in which colour."""
+"""Pictures of scans, and the look at a map in three dimensions: what is where, in which colour."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import rasterio
-from route_records import MadeUpMap
+from PIL import Image
+from small_surveys import run, write_survey
+from tile_maps import MadeUpMap
 
 from bumpymap.core import NO_TILE, Barred, PolarSettings, Scan, sector_bounds
+from bumpymap.layers import open_map
 from bumpymap.layers.colours import CLOSED_COLOUR, UNKNOWN_COLOUR, RideScale
 from bumpymap.layers.scan_folder import SCAN_COLOURS, SECTOR_STATES, point_styles, sector_states
 from bumpymap.scan import classify_filter, polar_sectors
@@ -167,13 +170,10 @@ def test_ground_between_points_has_a_shade_of_its_sector_and_red_lines_over_obst
 
 
 def test_the_legend_has_a_swatch_of_every_style_and_says_when_there_is_nothing(scan, classed, nothing):
-    full, empty = (paint(*known)[:, SIDE:] for known in ((scan, classed), nothing))
-    for panel in (full, empty):
-        for colour in SCAN_COLOURS:
-            assert (panel == colour).all(axis=2).sum() >= 28 * 28
-    ink = [(panel[510:] == 235).all(axis=2).sum() for panel in (full, empty)]
-    assert ink[0] == 0
-    assert ink[1] > 0
+    for known, is_said in (((scan, classed), False), (nothing, True)):
+        panel = paint(*known)[:, SIDE:]
+        assert min((panel == colour).all(axis=2).sum() for colour in SCAN_COLOURS) >= 28 * 28
+        assert (panel[510:] == 235).all(axis=2).any() == is_said
 
 
 def test_a_sector_is_free_only_if_it_is_smooth_or_fair_ground_with_nothing_on_it(classed):
@@ -189,3 +189,56 @@ def test_far_points_and_strange_grids_are_no_trouble():
     for far_m, range_m in ((0.5, 1000.0), (9000.0, 1.0)):
         sectors = polar_sectors(scan, PolarSettings((0.0,), far_m, (3,), (1,)))
         assert paint(scan, classify_filter(sectors), range_m).shape[0] == SIDE
+
+
+# ---- three dimensions ----
+
+
+@pytest.fixture(scope="module")
+def layers(tmp_path_factory):
+    """A slope of 0.1, and a way over it."""
+    folder = tmp_path_factory.mktemp("space")
+    survey = write_survey(folder / "a.las", points=60_000, height=lambda x, _: 0.1 * (x - 500_000) + 50)
+    run("map", survey, "--out", folder / "layers", code=0)
+    places = "--from", "500005,4000005", "--to", "500015,4000015"
+    run("route", folder / "layers", *places, "--out", folder / "way", code=0)
+    return folder / "layers", folder / "way"
+
+
+def test_the_relief_has_its_heights_and_colours_and_ways_lie_over_it(layers):
+    drawn = space.space_of(open_map(layers[0]), layers[1])
+    used = drawn.vertices[np.unique(drawn.triangles)]
+    slope = np.polyfit(used[:, 0], used[:, 2], 1)[0]
+    assert slope == pytest.approx(0.1, abs=0.01)
+    corners = drawn.vertices[drawn.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (normals[:, 2] > 0).all()  # seen from above
+    assert drawn.colours.shape == drawn.vertices.shape
+    assert 0.0 <= drawn.colours.min() < drawn.colours.max() <= 1.0
+    (way,) = drawn.ways
+    ground = np.polyval(np.polyfit(used[:, 0], used[:, 2], 1), way[:, 0])
+    np.testing.assert_allclose(way[:, 2], ground + 0.4, atol=0.1)
+    assert np.hypot(*np.diff(way[[0, -1], :2], axis=0)[0]) == pytest.approx(14.1, abs=0.5)
+
+
+def test_without_a_screen_or_a_driver_it_says_what_to_do(layers, tmp_path, monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "VK_DRIVER_FILES"):
+        monkeypatch.delenv(name, raising=False)
+    assert "--out view.png" in run("view", layers[0]).output
+    assert "view.tif is no picture" in run("view", layers[0], "--out", tmp_path / "view.tif").output
+    monkeypatch.setattr(space, "find_library", lambda _: None)
+    assert "apt-get install libvulkan1" in run("view", layers[0], "--out", tmp_path / "view.png").output
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.open3d
+def test_open3d_draws_it_without_a_screen(layers, tmp_path):
+    picture = tmp_path / "view.png"
+    done = run("view", layers[0], "--route", layers[1], "--out", picture)
+    if "Vulkan driver" in done.output:
+        pytest.skip(done.output)
+    assert done.output == f"Open {picture}.\n"
+    pixels = np.asarray(Image.open(picture).convert("RGB")).reshape(-1, 3)
+    white, black = ((pixels == shade).all(axis=1).mean() for shade in (255, 0))
+    assert 0.1 < white < 0.95  # the ground is there, and what lies beside it
+    assert 0 < black < 0.05  # so is the way

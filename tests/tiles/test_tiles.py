@@ -1,4 +1,4 @@
-"""Points to tiles and blocks: in whatever order they came and wherever they wait, the same blocks come out."""
+"""Points to tiles, blocks and packs: in whatever order they came and wherever they wait, the same comes out."""
 
 import math
 
@@ -7,17 +7,23 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from bumpytiles import (
+    BLOCK_TILES,
     Bounds,
+    Column,
     Grid,
     MemoryLimits,
+    Pack,
+    PackError,
     ScaledPoints,
     Scaling,
     TileBuckets,
+    TileTable,
     TileWindow,
     TooManyPointsError,
     group_points,
     group_scaled_points,
     run_blocks,
+    write_pack,
 )
 
 GRID = Grid(tile_size=3.0)
@@ -45,13 +51,6 @@ def flatten(blocks):
     return [tuple(getattr(block, name).tobytes() for name in names) for block in blocks]
 
 
-def one_block(x, y, z, flag):
-    buckets = TileBuckets(GRID)
-    buckets.add(*(np.asarray(axis, float) for axis in (x, y, z)), np.asarray(flag))
-    (block,) = buckets.blocks()
-    return block
-
-
 @settings(max_examples=25)
 @given(st.integers(0, 1000), st.lists(st.integers(0, 3000), max_size=6))
 def test_order_and_chunks_of_the_input_change_no_bit(seed, cuts):
@@ -73,7 +72,9 @@ def test_every_place_is_in_its_own_tile_once_and_of_two_points_the_flagged_one_s
         seen += zip(*points, strict=True)
     assert sorted(seen) == sorted(set(zip(*columns[:3], strict=True)))
     for flags, kept in (([1, 0], 1), ([0, 1], 1), ([3, 2], 2), ([0, 3], 3), ([2, 1], 1)):
-        assert one_block([0.0, -0.0], [1.0] * 2, [1.0] * 2, np.array(flags, np.uint8)).flag.tolist() == [kept]
+        buckets = TileBuckets(GRID)
+        buckets.add(np.array([0.0, -0.0]), np.ones(2), np.ones(2), np.array(flags, np.uint8))
+        assert [block.flag.tolist() for block in buckets.blocks()] == [[kept]]
 
 
 def test_points_with_one_hash_are_still_put_in_one_order():
@@ -265,3 +266,99 @@ def test_results_come_in_the_order_of_the_blocks_which_are_drawn_lazily_until_on
     with pytest.raises(RuntimeError, match="three"):
         list(run_blocks(fail_at_three, range(1000), 2))
     assert len(started) < 20
+
+
+# ---- packs and tables of tiles ----
+
+
+COLUMNS = (Column("col", "<i8"), Column("row", "<i8"), Column("value", "<f4", (2,)))
+
+
+def write(path, blocks, meta=None):
+    rows = {key: len(columns["col"]) for key, columns in blocks.items()}
+    write_pack(path, COLUMNS, rows, lambda column: [block[column.name] for block in blocks.values()], meta or {})
+    return Pack(path)
+
+
+def columns_of(tiles):
+    col, row = np.array(tiles, dtype=np.int64).reshape(-1, 2).T
+    return {"col": col, "row": row, "value": np.stack([col, row], axis=1).astype(np.float32)}
+
+
+@pytest.fixture
+def pack(tmp_path):
+    return write(tmp_path / "a.pack", {(0, 0): columns_of([(1, 2), (3, 4)]), (-1, 2): columns_of([(33, -5)])}, {"n": 3})
+
+
+def test_blocks_are_read_together_in_any_order_from_any_packs(tmp_path):
+    rng = np.random.default_rng(1)
+    sizes = [1, 2, 300, 1, 1, 0, 3, 40, 1, 2, 5, 1]
+    blocks = {(n // 4 - 1, n % 4 - 2): columns_of(rng.integers(0, 99, (size, 2))) for n, size in enumerate(sizes)}
+    packs = [write(tmp_path / str(first), dict(list(blocks.items())[first::3])) for first in range(3)]
+    table, full = TileTable(Grid(), packs), [key for key in blocks if len(blocks[key]["col"])]
+    for number in range(20):
+        keys = [full[n] for n in rng.permutation(len(full))[: 1 + number]]
+        for names in (["row", "value"], ["col"]):
+            found = table.read_blocks(keys, names)
+            assert list(found) == names
+            for name in names:
+                np.testing.assert_array_equal(found[name], np.concatenate([blocks[key][name] for key in keys]))
+
+
+def test_added_columns_join_those_that_are_there_and_take_the_place_of_their_names(tmp_path):
+    table = TileTable.of(Grid(), columns_of([(1, 2), (3, 4), (33, -5)]))
+    more = (Column("value", "<i8"), Column("own", "|u1"))
+    own = {"value": np.array([5, 6, 7]), "own": np.array([1, 2, 3])}
+    write_pack(tmp_path / "b", more, {(-1, 2): 1, (0, 0): 2}, lambda column: [own[column.name]], {})
+    found = table.with_columns([Pack(tmp_path / "b")]).read(["own", "value"])
+    assert {name: values.tolist() for name, values in found.items()} == {
+        "col": [3, 1, 33], "row": [4, 2, -5], "own": [3, 2, 1], "value": [7, 6, 5],
+    }  # fmt: skip
+
+
+def test_a_pack_appears_whole_or_not_at_all_and_damaged_it_is_refused(tmp_path, pack):
+    columns = columns_of([(1, 2)])
+    with pytest.raises(ValueError, match="rows need"):
+        write_pack(tmp_path / "b", COLUMNS, {(0, 0): 5}, lambda column: [columns[column.name]], {})
+    assert list(tmp_path.iterdir()) == [pack.path]
+    content = pack.path.read_bytes()
+    flipped = bytearray(content)
+    flipped[-60] ^= 1
+    for damaged in (b"", *(content[:keep] for keep in (4, 30, -1, -9, -40)), flipped):
+        pack.path.write_bytes(damaged)
+        with pytest.raises(PackError):
+            Pack(pack.path)
+
+
+tiles = st.sets(st.tuples(st.integers(-40, 40), st.integers(-40, 40)), min_size=1, max_size=60)
+
+
+@given(tiles, st.integers(-45, 45), st.integers(-45, 45), st.integers(1, 60), st.integers(1, 60), st.integers(1, 600))
+def test_a_window_and_its_strips_hold_each_of_its_tiles_once(chosen, col, row, cols, rows, most):
+    table = TileTable.of(Grid(), columns_of(sorted(chosen)))
+    assert table.tiles == len(chosen)
+    assert table.window == TileWindow.around(*np.array(sorted(chosen)).T)
+    window = TileWindow(col, row, cols, rows)
+    inside = [(c, r) for c, r in chosen if col <= c < col + cols and row <= r < row + rows]
+    expected = sorted(inside, key=lambda tile: (-tile[1], tile[0]))
+    found = table.read(["value"], window)
+    assert list(zip(found["col"].tolist(), found["row"].tolist(), strict=True)) == expected
+    assert found["value"].tolist() == [list(tile) for tile in expected]
+    held, corners = [], []
+    for strip in table.strips(most, window):
+        found = table.read([], strip)
+        here = list(zip(found["col"].tolist(), found["row"].tolist(), strict=True))
+        held += here
+        corners.append((-strip.row, strip.col))
+        assert len(here) <= most or len({(c // BLOCK_TILES, r // BLOCK_TILES) for c, r in here}) == 1
+    assert corners == sorted(corners)
+    assert sorted(held) == sorted(inside)
+    assert table.holds(window) >= bool(held)
+
+
+def test_blocks_without_tiles_do_not_count_and_the_same_tile_twice_is_refused(tmp_path):
+    table = TileTable(Grid(), [write(tmp_path / "a", {(0, 0): columns_of([(1, 2)]), (9, 9): columns_of([])})])
+    assert table.window == TileWindow(1, 2, 1, 1)
+    assert not table.holds(TileWindow(144, 144, 16, 16))
+    with pytest.raises(ValueError, match="same tile"):
+        TileTable.of(Grid(), columns_of([(1, 4), (2, 4), (1, 4)])).read([])

@@ -1,5 +1,6 @@
-"""The pages of a comparison and of a check: what their records say, unknown ground apart, no name trusted."""
+"""The pages of a comparison, a check and a batch: what their records say, unknown ground apart, no name trusted."""
 
+import base64
 import io
 import json
 import re
@@ -7,30 +8,28 @@ import shutil
 from base64 import b64decode
 from dataclasses import replace
 from html import unescape
+from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
-from check_records import made_up_check
-from page_outline import Outline
+from check_records import made_up_check, on_site
+from page_outline import Outline, ReadPage
 from PIL import Image
 from pyproj import Transformer
 from route_maps import copy_folder, plant_photo, write_folder
+from small_surveys import band, write_bomb
 from survey_pairs import COLS, ROWS, survey
 
 import bumpymap
 from bumpymap.check.pipeline import write_check
 from bumpymap.core import CHANGE_KINDS, CLASS_NAMES, BadInputError, Georeference, UsageError
+from bumpymap.layers import SurveyRow, map_facts
 from bumpymap.layers.check_files import MapOffset
-from bumpymap.views import check_headline, write_report
+from bumpymap.views import SurveyView, check_headline, read_thumbnail, write_report
 from bumpymap.views.light import levelled
 from bumpymap.views.page import change_page
+from bumpymap.views.page.batch_page import index_page
 from bumpymap.views.page.change_page import NOT_COMPARED
-
-
-def band(folder, name):
-    with rasterio.open(folder / "change.tif") as file:
-        return file.read(file.descriptions.index(name) + 1)
 
 
 def places_of(page):
@@ -38,9 +37,9 @@ def places_of(page):
     return {re.match(r"\d+", row[0])[0]: row for row in Outline(page.text).tables["Places that have changed"][1:]}
 
 
-def test_tables_equal_the_counts_of_the_record(comparison, read_page):
+def test_tables_equal_the_counts_of_the_record(comparison):
     record = json.loads((comparison / "change.json").read_text())
-    counts, tables = record["counts"], Outline(read_page(comparison / "report.html").text).tables
+    counts, tables = record["counts"], Outline(ReadPage(comparison / "report.html").text).tables
     assert counts["changed"] > 30
     kinds = tables["Tiles by what became of them"][1:]
     for name, row in zip(CHANGE_KINDS, kinds, strict=False):
@@ -54,8 +53,8 @@ def test_tables_equal_the_counts_of_the_record(comparison, read_page):
     assert surveys["files written on"] == ["2024-05-01", "2025-05-02 to 2025-05-03"]
 
 
-def test_places_are_those_of_the_features(comparison, read_page):
-    page = read_page(comparison / "report.html")
+def test_places_are_those_of_the_features(comparison):
+    page = ReadPage(comparison / "report.html")
     features = json.loads((comparison / "change.geojson").read_text())["features"]
     rows = places_of(page)
     assert [int(row[2]) for row in rows.values()] == sorted((f["properties"]["tiles"] for f in features), reverse=True)
@@ -72,30 +71,30 @@ def test_places_are_those_of_the_features(comparison, read_page):
         assert to_lonlat.transform(spot["east"], spot["north"]) == pytest.approx(tuple(map(float, row[-2:])), abs=1e-3)
 
 
-def test_values_of_the_page_are_those_of_the_raster_within_its_rounding(comparison, read_page):
-    page = read_page(comparison / "report.html")
-    changed, kinds = band(comparison, "changed"), page.codes("ground")
+def test_values_of_the_page_are_those_of_the_raster_within_its_rounding(comparison):
+    page = ReadPage(comparison / "report.html")
+    changed, kinds = band(comparison / "change.tif", "changed"), page.codes("ground")
     compared = np.isfinite(changed)
     assert 0 < compared.sum() < compared.size
     np.testing.assert_array_equal(kinds, np.where(compared, changed, NOT_COMPARED))
     for key in ("d_height", "d_c_r"):
         shown, grid = page.values(key)
-        roots = [np.sign(values) * np.sqrt(np.abs(values)) for values in (shown, band(comparison, key))]
+        roots = [np.sign(values) * np.sqrt(np.abs(values)) for values in (shown, band(comparison / "change.tif", key))]
         roots[1][~compared] = np.nan
         np.testing.assert_allclose(*roots, rtol=0, atol=grid["step"] / 2 + 1e-6, err_msg=key)
 
 
-def test_nothing_found_and_nothing_compared_are_not_the_same(may, tmp_path, read_page):
+def test_nothing_found_and_nothing_compared_are_not_the_same(may, tmp_path):
     same = bumpymap.diff_surveys(may, may, tmp_path / "same")
-    assert "No change was found on the 1.08 ha that were compared" in read_page(same.folder / "report.html").text
+    assert "No change was found on the 1.08 ha that were compared" in ReadPage(same.folder / "report.html").text
     folder = shutil.copytree(same.folder, tmp_path / "none")
     record = json.loads((folder / "change.json").read_text())
     record["counts"] |= {"compared": 0}
     (folder / "change.json").write_text(json.dumps(record))
-    assert "is not known" in read_page(write_report(folder)).text
+    assert "is not known" in ReadPage(write_report(folder)).text
 
 
-def test_changes_lie_over_the_photo_of_a_survey_or_its_relief_if_the_map_is_the_one_compared(may, tmp_path, read_page):
+def test_changes_lie_over_the_photo_of_a_survey_or_its_relief_if_the_map_is_the_one_compared(may, tmp_path):
     """The surveys begin at other columns."""
     folder, (row, col) = copy_folder(may, tmp_path / "may"), np.mgrid[0:ROWS, 0:COLS]
     colours = np.stack([6 * col, 8 * row, 9 * (col % 2)])
@@ -104,7 +103,7 @@ def test_changes_lie_over_the_photo_of_a_survey_or_its_relief_if_the_map_is_the_
     out = bumpymap.diff_surveys(folder, later, tmp_path / "out").folder
 
     def below():
-        (key,) = {"photo", "relief"} & set(about := read_page(write_report(out)).data["maps"][0])
+        (key,) = {"photo", "relief"} & set(about := ReadPage(write_report(out)).data["maps"][0])
         picture = np.asarray(Image.open(io.BytesIO(b64decode(about[key].partition(",")[2]))), float)
         return key, picture.reshape(ROWS, picture.shape[0] // ROWS, COLS - 5, -1, picture[0, 0].size).mean(axis=(1, 3))
 
@@ -116,17 +115,19 @@ def test_changes_lie_over_the_photo_of_a_survey_or_its_relief_if_the_map_is_the_
     assert (key, np.ptp(found) > 30) == ("relief", True)
     shutil.rmtree(later)
     shutil.rmtree(folder)
-    assert not {"photo", "relief"} & set(read_page(write_report(out)).data["maps"][0])
+    assert not {"photo", "relief"} & set(ReadPage(write_report(out)).data["maps"][0])
 
 
-def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, tmp_path, monkeypatch, read_page):
-    fine, step = read_page(comparison / "report.html").codes("ground"), 7
+def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, tmp_path, monkeypatch):
+    fine, step = ReadPage(comparison / "report.html").codes("ground"), 7
     monkeypatch.setattr(change_page, "_SIDE", -(-max(fine.shape) // step))
     monkeypatch.setattr(change_page, "_STRIP_TILES", 100)
-    page = read_page(write_report(comparison, tmp_path / "coarse.html"))
+    page = ReadPage(write_report(comparison, tmp_path / "coarse.html"))
     assert page.data["maps"][0]["metres"] == 3 * step
     kinds, (shown, _) = page.codes("ground"), page.values("d_height")
-    heights = np.where(np.isfinite(band(comparison, "changed")), band(comparison, "d_height"), np.nan)
+    heights = np.where(
+        np.isfinite(band(comparison / "change.tif", "changed")), band(comparison / "change.tif", "d_height"), np.nan
+    )
     for row, col in np.ndindex(kinds.shape):
         part = np.s_[row * step : (row + 1) * step, col * step : (col + 1) * step]
         tiles = fine[part]
@@ -158,11 +159,11 @@ def test_what_cannot_be_made_says_why(comparison, may, tmp_path):
             write_report(twin)
 
 
-def test_without_a_crs(tmp_path, read_page):
+def test_without_a_crs(tmp_path):
     local = {"georeference": Georeference(None)}
     sides = [write_folder(tmp_path / str(seed), survey(seed, rut=0.1 * (seed - 1), **local)) for seed in (1, 2)]
     change = bumpymap.diff_surveys(*sides, tmp_path / "out")
-    page = read_page(change.folder / "report.html")
+    page = ReadPage(change.folder / "report.html")
     number, row = next(iter(places_of(page).items()))
     (spot,) = [spot for spot in page.data["maps"][0]["places"] if spot["name"] == number]
     off = np.abs(np.subtract([float(cell) for cell in row[-2:]], [spot["east"], spot["north"]]))
@@ -171,9 +172,9 @@ def test_without_a_crs(tmp_path, read_page):
     assert "local_coordinates" in json.loads((change.folder / "change.geojson").read_text())
 
 
-def test_the_page_holds_map_figures_and_drives(checked, read_page):
+def test_the_page_holds_map_figures_and_drives(checked):
     out, result = checked
-    page, stretches, offset = read_page(out / "check.html"), result.stretches, MapOffset.of(result.stretches)
+    page, stretches, offset = ReadPage(out / "check.html"), result.stretches, MapOffset.of(result.stretches)
     (about,) = page.data["maps"]
     found = about["stretches"]
     assert [spot["east"] for spot in found] == pytest.approx(stretches.easting, abs=0.01)
@@ -196,11 +197,11 @@ def test_the_page_holds_map_figures_and_drives(checked, read_page):
     assert page.text.count("<circle") == 49 + 50
 
 
-def test_the_page_of_drives_alone_or_on_layers_that_cannot_be_drawn_has_no_map(site, on_site, tmp_path, read_page):
+def test_the_page_of_drives_alone_or_on_layers_that_cannot_be_drawn_has_no_map(site, tmp_path):
     result = made_up_check(8, ground=False, drives=2)
     drives = (replace(result.drives[0], warnings=("drive 1: no standstill", "too fast")), result.drives[1])
     write_check(replace(result, drives=drives), tmp_path)
-    page = read_page(tmp_path / "check.html")
+    page = ReadPage(tmp_path / "check.html")
     assert page.data["maps"] == []
     assert "Map against drives" not in Outline(page.text).tables
     assert "Spearman" not in page.text
@@ -210,7 +211,7 @@ def test_the_page_of_drives_alone_or_on_layers_that_cannot_be_drawn_has_no_map(s
     result, ground = on_site(made_up_check(50), later)
     (later / "tiles.parquet").unlink()
     write_check(result, tmp_path / "out", ground=ground)
-    assert read_page(tmp_path / "out" / "check.html").data["maps"] == []
+    assert ReadPage(tmp_path / "out" / "check.html").data["maps"] == []
 
 
 @pytest.mark.parametrize(
@@ -245,3 +246,92 @@ def test_even_ground_cannot_be_ranked(ratio, words):
     figures = replace(result.agreement, spearman=0.1, median_ratio=ratio, inside=0.3)
     (said,) = check_headline(replace(result, agreement=figures, stretches=even, agreement_by_line=None))
     assert f"the level of the map {words}" in said
+
+
+# ---- batches ----
+
+
+PICTURE = "data:image/jpeg;base64,AA=="
+HOSTILE = "<script>alert(1)</script>\"'&<img src=x onerror=alert(2)>"
+
+
+def done(name, **other):
+    known = {
+        "points": 1_228_505, "density": 96.3, "area": 12_834.0, "seconds": 3.4, "share_smooth": 0.5, "share_fair": 0.2,
+        "share_rough": 0.1, "share_very_rough": 0.05, "share_unknown": 0.15, "share_passable": 0.6,
+        "unknown_reason": "too few points", "crs": "EPSG:32614", "min_x": 5e5, "min_y": 4e6, "max_x": 5.01e5,
+        "max_y": 4.001e6,
+    }  # fmt: skip
+    return SurveyRow(name, "done", **(known | other))
+
+
+def test_text_of_files_is_text():
+    rows = [SurveyRow(HOSTILE, "failed", f"{HOSTILE} is broken"), done("b", crs=HOSTILE, unknown_reason=HOSTILE)]
+    page = index_page(rows, {HOSTILE: SurveyView(PICTURE, has_report=True)}, ["summary.csv"], HOSTILE, HOSTILE)
+    found = Outline(page)
+    assert (len(found.elements["script"]), len(found.elements["img"])) == (1, 1)
+    assert set(found.attributes) & {"onerror", "onclick", "onload"} == set()
+    assert found.text.count(HOSTILE) == 7  # title, heading, note, name, message, reason, CRS
+    assert "%3Cscript%3E" in next(link["href"] for link in found.elements["a"] if "report" in link["href"])
+    page = index_page([done("caf\udce9")], {"caf\udce9": SurveyView(has_report=True)}, [], "n\udce9")
+    assert 'href="caf%E9/report.html"' in page
+    assert "caf\\xe9" in page
+    page.encode()
+
+
+def test_what_failed_comes_first_then_what_can_be_crossed_best_and_names_link_to_reports_that_exist():
+    rows = [
+        done("a", share_passable=0.2),
+        SurveyRow("b", "not reached"),
+        SurveyRow("c", "failed", "broken"),
+        done("d e"),
+    ]
+    rows.append(SurveyRow("e", "already done"))
+    found = Outline(index_page(rows, {"d e": SurveyView(has_report=True)}, ["summary.csv"], "night"))
+    named = [cell["data-v"] for cell in found.elements["th"] if cell.get("scope") == "row"]
+    assert named == ["c", "b", "d e", "a", "e"]
+    assert [link["href"] for link in found.elements["a"]] == ["summary.csv", "d%20e/report.html"]
+    assert "5 surveys: 3 done (1 of them earlier), 1 not reached, 1 failed; 2.57 ha mapped\n" in found.text
+    assert "60%" in found.text
+    assert "15.0% unknown, mostly too few points" in found.text
+    assert "smooth 50.0%, fair 20.0%, rough 10.0%, very rough 5.0%, unknown 15.0%" in found.text
+
+
+def test_a_page_of_500_surveys_is_small():
+    rows = [done(f"survey_{number:03}", min_x=5e5 + number, message="x" * 100) for number in range(500)]
+    views = {row.name: SurveyView("A" * 2_400, has_report=True) for row in rows}
+    assert len(index_page(rows, views, ["summary.csv"], "night").encode()) < 2_000_000
+
+
+def test_the_picture_is_that_of_the_map_as_small_as_asked(site, tmp_path):
+    with Image.open(site / "rasters/thumbnail.jpg") as whole:
+        wanted = np.asarray(whole.resize((80, 60), Image.Resampling.BOX), float)
+    for most, width in ((40_000, 240), (2_400, 60)):
+        text = read_thumbnail(site, most)
+        assert len(text) <= most
+        with Image.open(io.BytesIO(base64.b64decode(text.removeprefix("data:image/jpeg;base64,")))) as picture:
+            assert picture.size == (width, width * 3 // 4)
+            found = np.asarray(picture.resize((80, 60), Image.Resampling.BOX), float)
+        if width == 240:
+            assert np.abs(found - wanted).mean() < 12
+    assert read_thumbnail(site, 10) == ""
+
+
+@pytest.mark.parametrize("damage", [write_bomb, Path.mkdir, lambda path: path.write_bytes(b"\xff\xd8\xff"), None])
+def test_a_picture_that_cannot_be_read_costs_a_map_its_picture_alone(site, tmp_path, caplog, damage):
+    path = copy_folder(site, tmp_path / "map") / "rasters/thumbnail.jpg"
+    path.unlink()
+    if damage:
+        damage(path)
+    assert read_thumbnail(tmp_path / "map", 10_000) == ""
+    assert "rasters/thumbnail.jpg is not shown: " in caplog.text
+
+
+def test_a_map_without_tiles_has_a_row_without_shares(site, tmp_path):
+    counts = json.loads((site / "run.json").read_text())["counts"]
+    none = dict.fromkeys(("tiles", "passable", "unknown"), 0) | {"by_reason": {}}
+    none["by_class"] = dict.fromkeys(counts["by_class"], 0)
+    facts = map_facts(copy_folder(site, tmp_path / "map", counts=counts | none))
+    wanted = {"tiles": 0, "area": 0.0} | dict.fromkeys(("density", "share_smooth", "share_passable", "share_unknown"))
+    assert {name: facts[name] for name in wanted} == wanted
+    assert "passable," not in index_page([SurveyRow("none", "done", **facts)], {}, [], "night")
