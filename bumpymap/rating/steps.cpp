@@ -733,9 +733,59 @@ void find_jumps(
     }
 }
 
+// ---- Pixels that close ----
+
+// Pixels to each side in which another one makes a line of one with a step.
+constexpr Index beside = 2;
+
+// Marks the pixels that lie so far below one beside them; `least` is (tiles, tiles), m.
+void find_low(Array<const float, 2> heights, Index pixels, Array<const double, 2> least, Array<bool, 2> low) {
+    constexpr float lowest = -std::numeric_limits<float>::infinity();
+    const Index rows = heights.shape[0], cols = heights.shape[1];
+    std::vector<float> highest(cols + 2, lowest);  // of three rows, and no height beyond them
+    for (Index r = 0; r < rows; ++r) {
+        std::fill(highest.begin(), highest.end(), lowest);
+        for (Index row = std::max(r - 1, Index{0}); row <= std::min(r + 1, rows - 1); ++row) {
+            const Array<const float> line = heights.at(row);
+            for (Index c = 0; c < cols; ++c) highest[c + 1] = line[c] > highest[c + 1] ? line[c] : highest[c + 1];
+        }
+        for (Index c = 0; c < cols; ++c) {
+            const float top = std::max(std::max(highest[c], highest[c + 1]), highest[c + 2]);
+            low(r, c) = static_cast<double>(top - heights(r, c)) >= least(r / pixels, c / pixels);
+        }
+    }
+}
+
+// Decides which pixels close: those of jumps, and of steps that `find_peaks` marked, `along` with rows and columns
+// exchanged. In thin tiles a step must be sure, and one more pixel near it closed or low: a single one is no line.
+void close_steps(
+    Array<const std::uint8_t, 2> across, Array<const std::uint8_t, 2> along, Index pixels, Array<const bool, 2> is_thin,
+    Array<const bool, 2> jumps, Array<const bool, 2> low, Array<bool, 2> closed) {
+    const Index rows = closed.shape[0], cols = closed.shape[1];
+    std::vector<std::uint8_t> memory(rows * cols);
+    const Array<std::uint8_t, 2> found{memory.data(), closed.shape};  // closed or low
+    std::vector<std::array<Index, 2>> doubtful;
+    for (Index r = 0; r < rows; ++r) {
+        for (Index c = 0; c < cols; ++c) {
+            const bool thin = is_thin(r / pixels, c / pixels);
+            const bool is_step = std::max(across(r, c), along(c, r)) >= (thin ? 2 : 1);
+            if (is_step && thin) doubtful.push_back({r, c});
+            closed(r, c) = is_step || jumps(r, c);
+            found(r, c) = closed(r, c) || low(r, c);
+        }
+    }
+    for (const auto [r, c] : doubtful) {
+        int number = 0;
+        for (Index row = std::max(r - beside, Index{0}); row <= std::min(r + beside, rows - 1); ++row)
+            for (Index col = std::max(c - beside, Index{0}); col <= std::min(c + beside, cols - 1); ++col)
+                number += found(row, col);
+        closed(r, c) = number > 1 || jumps(r, c);
+    }
+}
+
 }  // namespace
 }  // namespace bumpy
 
 BUMPY_RECORD(bumpy::StepMosaic, heights, pixels, level, east, south)
 
-BUMPY_LOOPS(steps, find_quantiles, find_gradients, find_raw_steps, find_peaks, find_jumps)
+BUMPY_LOOPS(steps, find_quantiles, find_gradients, find_raw_steps, find_peaks, find_jumps, find_low, close_steps)
