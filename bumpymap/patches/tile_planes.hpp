@@ -8,9 +8,7 @@
 #pragma once
 
 #include <array>
-#include <cstring>
 #include <tuple>
-#include <type_traits>
 #include <vector>
 
 #include "bumpymap/core/planes.hpp"
@@ -79,58 +77,31 @@ FitSums fold_lanes(Number (&part)[fit_sums][lanes]) {
     return sums;
 }
 
-using Floats8 [[gnu::vector_size(32)]] = float;
-using Doubles4 [[gnu::vector_size(32)]] = double;
-
-// Adds the terms of a point, or of as many as a register holds, to the sums. `plane` is divided by the scale.
-template <Weights weights, class Number, class Value>
-void add_terms(
-    const Value& x, const Value& y, const Value& z, const std::array<Number, 4>& plane,
-    std::array<Value, fit_sums>& sums) {
-    const Value r = plane[0] * x + plane[1] * y + plane[2] * z + plane[3], q = r * r, one = Value{} + Number{1};
-    const Value root = one / (one + q), is_near = q <= one ? one : Value{};
-    const Value w = weights == Weights::geman_mcclure ? root * root : is_near;
-    const Value wx = w * x, wy = w * y, wz = w * z;
-    sums[0] += w;
-    sums[1] += wx;
-    sums[2] += wy;
-    sums[3] += wz;
-    sums[4] += wx * x;
-    sums[5] += wx * y;
-    sums[6] += wx * z;
-    sums[7] += wy * y;
-    sums[8] += wy * z;
-    sums[9] += wz * z;
-    sums[10] += q <= one ? q : one;
-}
-
-// The lanes of a register are summed from the first point to the last one before the next: so the sums stay in
-// registers, which takes half of the time.
 template <Weights weights, class Number>
 FitSums sum_for_fit(const CentredPoints<Number>& points, const Plane& near, double scale) {
-    using Register = std::conditional_t<std::is_same_v<Number, float>, Floats8, Doubles4>;
-    constexpr Index width = sizeof(Register) / sizeof(Number);
-    const std::array<Number, 4> plane{
-        static_cast<Number>(near.a / scale), static_cast<Number>(near.b / scale), static_cast<Number>(near.c / scale),
-        static_cast<Number>(near.d / scale)};
-    const auto load = [](const Number* from) {
-        Register some;
-        std::memcpy(&some, from, sizeof some);
-        return some;
-    };
+    const auto a = static_cast<Number>(near.a / scale), b = static_cast<Number>(near.b / scale),
+               c = static_cast<Number>(near.c / scale), d = static_cast<Number>(near.d / scale);
     Number part[fit_sums][lanes] = {};
-    const Index whole = points.size() / width * width;
-    for (Index lane = 0; lane < lanes; lane += width) {
-        std::array<Register, fit_sums> own{};
-        for (Index i = lane; i < whole; i += lanes)
-            add_terms<weights>(load(&points.x[i]), load(&points.y[i]), load(&points.z[i]), plane, own);
-        for (Index m = 0; m < fit_sums; ++m) std::memcpy(part[m] + lane, &own[m], sizeof own[m]);
-    }
-    for (Index i = whole; i < points.size(); ++i) {
-        std::array<Number, fit_sums> own;
-        for (Index m = 0; m < fit_sums; ++m) own[m] = part[m][i % lanes];
-        add_terms<weights>(points.x[i], points.y[i], points.z[i], plane, own);
-        for (Index m = 0; m < fit_sums; ++m) part[m][i % lanes] = own[m];
+    for (Index start = 0; start < points.size(); start += lanes) {
+        const Index count = std::min(lanes, points.size() - start);
+        for (Index k = 0; k < count; ++k) {
+            const Number x = points.x[start + k], y = points.y[start + k], z = points.z[start + k];
+            const Number r = a * x + b * y + c * z + d, q = r * r;
+            const Number root = 1 / (1 + q), is_near = q <= 1 ? 1 : 0;
+            const Number w = weights == Weights::geman_mcclure ? root * root : is_near;
+            const Number wx = w * x, wy = w * y, wz = w * z;
+            part[0][k] += w;
+            part[1][k] += wx;
+            part[2][k] += wy;
+            part[3][k] += wz;
+            part[4][k] += wx * x;
+            part[5][k] += wx * y;
+            part[6][k] += wx * z;
+            part[7][k] += wy * y;
+            part[8][k] += wy * z;
+            part[9][k] += wz * z;
+            part[10][k] += q <= 1 ? q : 1;
+        }
     }
     return fold_lanes(part);
 }
