@@ -339,7 +339,8 @@ def find_steps(
     wanted = is_thin & (_tile_sums(np.isfinite(whole), pixels) > _THINNEST * pixels**2)
     wanted = wanted if searched is None else wanted & searched
     if math.isfinite(closing) and wanted.any():
-        slopes = _sure_gradient(z, pixels), np.ascontiguousarray(_sure_gradient(turned, pixels).T)
+        asked = np.ascontiguousarray(wanted.T)
+        slopes = _sure_gradient(z, pixels, wanted), np.ascontiguousarray(_sure_gradient(turned, pixels, asked).T)
         dense = np.ascontiguousarray(whole, np.float64)
         loops.find_jumps(dense, pixels, *slopes, wanted, closing, min(level, _JUMP_WIDTH), jumps)
     loops.find_low(np.ascontiguousarray(heights, np.float32), pixels, np.fmax(closing, _JUMP * noise), low)
@@ -349,12 +350,12 @@ def find_steps(
     return TileSteps(border, inner, rim, closed, low, own)
 
 
-def _sure_gradient(z: Floats, pixels: int) -> Floats:
-    """Return how much of the rise from a pixel to the next one, m, is beyond two standard errors, in each tile.
+def _sure_gradient(z: Floats, pixels: int, asked: NDArray[np.bool_]) -> Floats:
+    """Return how much of the rise from a pixel to the next one, m, is beyond two standard errors, in ``asked`` tiles.
 
     Pixels that are ``_APART`` tell it: of neighbours, few are known in a thin survey, and their noise counts in full.
     """
-    rise, spread = _gradient(z, pixels, _APART)
+    rise, spread = _gradient(z, pixels, _APART, asked)
     known = np.isfinite(z[_RUN:-_RUN])
     known[:, :-_APART] &= known[:, _APART:]
     columns = np.arange(known.shape[1]) % pixels
@@ -369,14 +370,16 @@ def _tile_sums(marks: NDArray[np.bool_], pixels: int) -> NDArray[np.int64]:
     return np.asarray(marks.reshape(rows, pixels, cols, pixels).sum(axis=(1, 3)))
 
 
-def _gradient(z: Floats, pixels: int, apart: int = 1) -> tuple[Floats, Floats]:
+def _gradient(z: Floats, pixels: int, apart: int = 1, asked: NDArray[np.bool_] | None = None) -> tuple[Floats, Floats]:
     """Return the median difference from a pixel to one so far east of it in each tile, m; 0 where there is none.
 
-    The second array is the median distance of the differences from it, m; NaN with too few.
+    The second array is the median distance of the differences from it, m; NaN with too few, and in tiles that are not
+    ``asked`` for, if these are given.
     """
     heights = z[_RUN:-_RUN]
     middle, spread = (np.empty((len(heights) // pixels, heights.shape[1] // pixels)) for _ in range(2))
-    loops.find_gradients(heights, pixels, apart, _LEAST_STEPS, middle, spread)
+    asked = np.ones(middle.shape, np.bool_) if asked is None else asked
+    loops.find_gradients(heights, pixels, apart, _LEAST_STEPS, asked, middle, spread)
     return middle, spread
 
 
