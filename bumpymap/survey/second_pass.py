@@ -1,10 +1,10 @@
 """The second pass of a run: when all tiles are finished, each is looked at together with its neighbours.
 
 A step at the border of two tiles belongs to both, a vehicle is wider than a pixel, and few points say more beside those
-of the neighbours: none of that is known while the points of one block are measured. So each block is read once more
-with the tiles around it, and again to sweep the vehicle between what is then known to stand in this block and in
-those around it. What is added to a tile depends on the finished tiles alone, not on how they were divided among files,
-tasks or machines.
+of the neighbours: none of that is known while the points of one block are measured. So blocks are read once more, a
+strip of them with the tiles around it, and again to sweep the vehicle between what is then known to stand in these
+blocks and in those around them. What is added to a tile depends on the finished tiles alone, not on how they were
+divided among files, strips, tasks or machines.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -190,7 +190,7 @@ _LEAST_PIXELS = 10
 
 @dataclass(frozen=True, slots=True)
 class NeighbourRating:
-    """Rates the tiles of a block with their neighbours: thin tiles, steps and standing objects.
+    """Rates the tiles of a strip with their neighbours: thin tiles, steps and standing objects.
 
     What it returns in ``barred`` is what the ground of a tile bars; `VehicleSweep` adds obstacles.
     """
@@ -198,7 +198,7 @@ class NeighbourRating:
     config: MapConfig
     calibration: Calibration
     rings: ClassVar = 2
-    """Tiles around a block that it reads: steps at the border of a neighbour are those of that."""
+    """Tiles around a strip that it reads: steps at the border of a neighbour are those of that."""
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -365,9 +365,9 @@ class NeighbourRating:
 
 @dataclass(frozen=True, slots=True)
 class VehicleSweep:
-    """Finds where the vehicle fits in the tiles of a block, and which of them it can pass.
+    """Finds where the vehicle fits in the tiles of a strip, and which of them it can pass.
 
-    Obstacles are those that `NeighbourRating` found for each tile beside the neighbours of its own block: what a block
+    Obstacles are those that `NeighbourRating` found for each tile beside the neighbours of its own strip: what a strip
     knows of those in the ring around it, from fewer neighbours, may differ. The ways through the tiles of the inner
     ring are needed to tell where an obstacle splits tiles, and depend on the obstacles in the outer one.
     """
@@ -375,7 +375,7 @@ class VehicleSweep:
     config: MapConfig
     calibration: Calibration
     rings: ClassVar = 2
-    """Tiles around a block that it reads."""
+    """Tiles around a strip that it reads."""
     needs: ClassVar = ("barred", "objects", _SIDES.name)
     """Columns that it reads."""
 
@@ -440,11 +440,11 @@ def _first(window: NeighbourWindow) -> BlockRating:
 
 
 def sides_crossed(usable: NDArray[np.bool_], steps: TileSteps, known: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return which sides of the inner tiles the vehicle can cross, (16, 16), as bits of `SIDES`.
+    """Return which sides of the inner tiles the vehicle can cross, (n, m), as bits of `SIDES`.
 
     Where nobody saw a step, such as in a thin survey, none is assumed between known tiles: the rating of both tiles
     holds what their points tell. A side without a known tile beyond it leads nowhere, but does not bar a tile of which
-    no neighbour is known. ``usable`` (16, 16, 4) are the sides whose step is none for the vehicle, ``known`` (20, 20).
+    no neighbour is known. ``usable`` (n, m, 4) are the sides whose step is none for the vehicle, ``known`` (n + 4, m + 4).
     """
     known = known[1:-1, 1:-1]
     rows, cols = (side - 2 for side in known.shape)
