@@ -444,7 +444,8 @@ def sides_crossed(usable: NDArray[np.bool_], steps: TileSteps, known: NDArray[np
 
     Where nobody saw a step, such as in a thin survey, none is assumed between known tiles: the rating of both tiles
     holds what their points tell. A side without a known tile beyond it leads nowhere, but does not bar a tile of which
-    no neighbour is known. ``usable`` (n, m, 4) are the sides whose step is none for the vehicle, ``known`` (n + 4, m + 4).
+    no neighbour is known. ``usable`` (n, m, 4) are the sides whose step is none for the vehicle, ``known`` (n + 4,
+    m + 4).
     """
     known = known[1:-1, 1:-1]
     rows, cols = (side - 2 for side in known.shape)
