@@ -15,7 +15,6 @@ from bumpymap.core import (
     Progress,
     SilentProgress,
     describe_crs,
-    return_memory,
     vertical_of,
     write_together,
 )
@@ -170,7 +169,6 @@ def _written(layers: _Layers, folder: Path, progress: Progress) -> Iterator[dict
 
     def write(names: Sequence[str], layer: Callable[[], None]) -> list[dict[str, Any]]:
         layer()
-        return_memory()
         files = [describe_file(folder / name) | {"path": name} for name in names]
         progress.advance(1)
         return files
