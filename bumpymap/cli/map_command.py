@@ -34,23 +34,24 @@ if TYPE_CHECKING:
 
 _SAMPLE = Path("sample_data") / "quarry.laz"
 """In an installed package it lies inside, in the sources beside it."""
+_BEFORE_WRITING = "comparing neighbours"
+"""The stage of `map` before layers are written: the points are gone."""
 _TITLES = ("class", "tiles", "share", "median c_r (rad/m)", "median slope (deg)")
 
 
 class ImportsAhead:
-    """A `Progress` that imports in a thread what rates tiles and writes layers, when its first stage begins.
+    """A `Progress` that imports in a thread what writes layers, when the stage before that begins.
 
-    Before that the interpreter is busy; from then on it mostly waits for decoder and compiled code. pandas is hidden,
-    see `import_without_pandas`, so this is for a process that only runs one command.
+    Earlier the libraries would add to the most memory of a run, and the interpreter is busy; now it mostly waits for
+    compiled code. pandas is hidden, see `import_without_pandas`, so this is for a process that only runs one command.
     """
 
     def __init__(self, progress: Progress) -> None:
-        self._progress, self._begun = progress, False
+        self._progress = progress
 
     def start(self, stage: str, total: int | None) -> None:
         """Begin a stage."""
-        if not self._begun:
-            self._begun = True
+        if stage == _BEFORE_WRITING:
             with suppress(RuntimeError):  # no thread can be started: they are imported when they are needed
                 threading.Thread(target=_import, name="imports").start()
         self._progress.start(stage, total)
@@ -62,10 +63,8 @@ class ImportsAhead:
 
 def _import() -> None:
     with suppress(Exception):  # whoever needs it tries again, and says what is wrong
-        from bumpymap.core import onnx_runtime
         from bumpymap.layers import import_without_pandas
 
-        onnx_runtime()
         import_without_pandas("pyogrio.raw", "bumpymap.layers.folder", "bumpymap.views.gis.project", "jinja2")
 
 

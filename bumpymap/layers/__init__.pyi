@@ -54,12 +54,12 @@ from .colours import (
     on_islands as on_islands,
     reach_colours as reach_colours,
 )
-from .folder import (
+from .complete_run import (
     is_complete as is_complete,
     refuse_replacing as refuse_replacing,
     verified_record as verified_record,
-    write_products as write_products,
 )
+from .folder import write_products as write_products
 from .geotiff import (
     box_sum as box_sum,
 )

@@ -1,24 +1,20 @@
-"""Write all files of a map to its folder, the manifest last; recognise a complete folder."""
+"""Write all files of a map to its folder, the manifest last."""
 
 import logging
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
-from os.path import lexists
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from bumpymap.core import (
-    BadInputError,
     CostTable,
     Georeference,
-    OutputError,
     Progress,
     SilentProgress,
     describe_crs,
-    read_record,
     vertical_of,
     write_together,
 )
@@ -67,53 +63,6 @@ def layer_metadata(manifest: Mapping[str, Any], place: Georeference) -> dict[str
         "vertical_crs": heights if vertical is None else f"{describe_crs(vertical)}; heights in metres",
     }
     return {name: value for name, value in entries.items() if value is not None}
-
-
-_REMEDY = "Choose another `out`, or pass `overwrite=True` to replace it"
-
-
-def is_complete(folder: Path, manifest: str = MANIFEST_NAME) -> bool:
-    """Return whether a folder holds a complete run: the manifest is the last file that a run writes."""
-    return lexists(folder / manifest)
-
-
-@contextmanager
-def verified_record(
-    folder: Path, files: Collection[str] | None, manifest: str = MANIFEST_NAME
-) -> Iterator[dict[str, Any]]:
-    """Read the manifest of a complete run and verify the checksums of its files.
-
-    Errors of the body of the ``with`` that mean a key is missing or malformed become an OutputError too. ``files``:
-    files that must exist; those that the manifest lists are checked in any case. None: no file is checked, since the
-    manifest alone is in the folder. ``manifest``: name of the manifest. Raises OutputError: the manifest cannot be read
-    as that of a run or does not list a file, or a file is missing or has changed.
-    """
-    record = read_record(folder / manifest)
-    unreadable = f"{folder} already holds a {manifest} that cannot be read as that of a run. {_REMEDY}"
-    if record is None:
-        raise OutputError(unreadable)
-    try:
-        listed = {str(file["path"]): str(file["sha256"]) for file in record["files"]}
-        for name in sorted({*files, *listed} if files is not None else ()):
-            try:
-                same = describe_file(folder / name)["sha256"] == listed.get(name)
-            except BadInputError as error:
-                raise OutputError(f"{folder} already holds a complete run, but {name} is missing. {_REMEDY}") from error
-            if not same:
-                raise OutputError(f"{folder} already holds a complete run, but {name} has changed since. {_REMEDY}")
-        yield record
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise OutputError(unreadable) from error
-
-
-def refuse_replacing(folder: Path, differences: Sequence[str]) -> None:
-    """Raise OutputError if there are differences between the complete run in a folder and the requested one."""
-    if differences:
-        raise OutputError(
-            f"{folder} already holds a complete run with other inputs or settings:",
-            *(f"  {difference}" for difference in differences),
-            _REMEDY,
-        )
 
 
 _log = logging.getLogger(__name__)

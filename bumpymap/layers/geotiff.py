@@ -106,7 +106,7 @@ def _means(tiles: TileTable, window: TileWindow) -> tuple[NDArray[np.int64], NDA
         heights = found["heights"].astype(np.float64)
         counted = np.isfinite(heights)
         heights[~counted] = 0.0
-        line, column = window.row + window.rows - 1 - found["row"], found["col"] - window.col
+        line, column = window.cells(found["col"], found["row"])
         for down in range(_PIXELS):
             for right in range(_PIXELS):
                 rows, cols = (slice(*np.searchsorted(place, (at, at + 1)).tolist()) for at in (down, right))

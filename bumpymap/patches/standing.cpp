@@ -34,16 +34,17 @@ struct StandingLimits {
     Index around, pixels;
 };
 
-// A map of pixels.
+// A map of pixels, with a margin around them that holds one value.
 template <class Value>
 struct Map {
-    Map(Index rows, Index cols) : values(rows * cols), wide(cols) {}
+    Map(Index rows, Index cols, Index beyond = 0, Value outside = {})
+        : values((rows + 2 * beyond) * (cols + 2 * beyond), outside), wide(cols + 2 * beyond), margin(beyond) {}
 
-    Value& operator()(Index r, Index c) { return values[r * wide + c]; }
-    Value* row(Index r) { return values.data() + r * wide; }
+    Value* row(Index r) { return values.data() + (r + margin) * wide + margin; }
+    Value& operator()(Index r, Index c) { return row(r)[c]; }
 
     std::vector<Value> values;
-    Index wide;
+    Index wide, margin;
 };
 
 // Raised pixels: of all of them, those on a side, those far above what lies beneath, those of both kinds, and those
@@ -59,6 +60,14 @@ struct Raised {
         level += times * more.level;
         return *this;
     }
+};
+
+// Where the foot of a side may be: places to it in a map, and how much lower it is then, m.
+struct Foot {
+    Index way;
+    int square;
+    bool is_far;
+    double drop;
 };
 
 // The known heights of a tile for a least-squares plane through several tiles: their sums [px, m] about the middle of
@@ -104,8 +113,17 @@ class StandingFinder {
           rows(given.shape[0]),
           cols(given.shape[1]),
           above(rows, cols),
-          level(rows, cols),
-          pixels(rows, cols) {}
+          level(rows, cols, farthest_foot, unknown_height),
+          pixels(rows, cols) {
+        for (const Offset& offset : nearest_offsets(farthest_foot)) {
+            const int square = offset.square();
+            const auto far = static_cast<double>(square);
+            const double drop = limits.drop * std::max(1.0, std::sqrt(far) / limits.foot);
+            if (square > 0)
+                feet.push_back(
+                    {offset.down * level.wide + offset.right, square, far > limits.foot * limits.foot, drop});
+        }
+    }
 
     void mark() {
         std::fill_n(marks.data, marks.count(), false);
@@ -195,18 +213,21 @@ class StandingFinder {
         Map<double> corners(tile_rows + 1, tile_cols + 1);
         for (Index r = 0; r <= tile_rows; ++r)
             for (Index c = 0; c <= tile_cols; ++c) corners(r, c) = height_between(r, c, tiles);
-        const auto share = [this](Index k) {  // of the way through its tile, of a row or column
-            return (static_cast<double>(k % limits.pixels) + 0.5) / static_cast<double>(limits.pixels);
-        };
-        for (Index r = 0; r < rows; ++r) {
+        std::vector<double> share(limits.pixels);  // of the way through its tile, of a row or column
+        for (Index k = 0; k < limits.pixels; ++k)
+            share[k] = (static_cast<double>(k) + 0.5) / static_cast<double>(limits.pixels);
+        for (Index r = 0; r < tile_rows * limits.pixels; ++r) {
             const Index row = r / limits.pixels;
-            for (Index c = 0; c < cols; ++c) {
-                const Index col = c / limits.pixels;
-                const double east = share(c), west_north = corners(row, col), west_south = corners(row + 1, col);
-                const double north = west_north + east * (corners(row, col + 1) - west_north);
-                const double south = west_south + east * (corners(row + 1, col + 1) - west_south);
-                level(r, c) =
-                    static_cast<float>(static_cast<double>(heights(r, c)) - (north + share(r) * (south - north)));
+            const double down = share[r % limits.pixels];
+            for (Index col = 0; col < tile_cols; ++col) {
+                const double west_north = corners(row, col), rise_north = corners(row, col + 1) - west_north;
+                const double west_south = corners(row + 1, col), rise_south = corners(row + 1, col + 1) - west_south;
+                const float* const from = &heights(r, col * limits.pixels);
+                float* const out = level.row(r) + col * limits.pixels;
+                for (Index k = 0; k < limits.pixels; ++k) {
+                    const double north = west_north + share[k] * rise_north, south = west_south + share[k] * rise_south;
+                    out[k] = static_cast<float>(static_cast<double>(from[k]) - (north + down * (south - north)));
+                }
             }
         }
     }
@@ -221,17 +242,14 @@ class StandingFinder {
 
     // True if a pixel lies far above one within `foot`, or as steeply above one of the nearest known ones.
     bool is_side(Index r, Index c) {
+        const float* const own = &level(r, c);
         int known = 0, last = 0;
-        for (const Offset& offset : offsets) {
-            const int square = offset.square();
-            if (square == 0) continue;
-            const Index row = r + offset.down, col = c + offset.right;
-            const auto far = static_cast<double>(square);
-            if (far > limits.foot * limits.foot && square > last && known >= foot_pixels) return false;
-            last = square;
-            if (!(0 <= row && row < rows && 0 <= col && col < cols) || std::isnan(level(row, col))) continue;
-            ++known;
-            if (level(r, c) - level(row, col) > limits.drop * std::max(1.0, std::sqrt(far) / limits.foot)) return true;
+        for (const Foot& foot : feet) {
+            if (foot.is_far && foot.square > last && known >= foot_pixels) return false;
+            last = foot.square;
+            const float height = own[foot.way];
+            known += !std::isnan(height);
+            if (static_cast<double>(*own - height) > foot.drop) return true;  // NaN is not
         }
         return false;
     }
@@ -259,10 +277,10 @@ class StandingFinder {
     const StandingLimits limits;
     const Array<bool, 2> marks;
     const Index rows, cols;
-    const std::vector<Offset> offsets = nearest_offsets(farthest_foot);
     Map<float> above;  // what lies beneath objects, m; infinite where nothing is known
     Map<float> level;  // a smooth surface, m
     Map<Raised> pixels;
+    std::vector<Foot> feet;  // the nearest first
 };
 
 // Marks the pixels of objects.

@@ -31,7 +31,7 @@ from bumpymap.core import (
     within,
 )
 from bumpymap.patches.features import THIN, choose_tiles, measure
-from bumpytiles import BLOCK_TILES, Grid, TilePoints
+from bumpytiles import BLOCK_TILES, Grid, TilePoints, TileWindow
 
 _WIDTH = 1.8
 """Width of what the ground filter may have left, m; wider objects are above its threshold."""
@@ -346,17 +346,16 @@ Places = tuple[NDArray[np.int64], NDArray[np.int64]]
 def _mosaics(
     patches: PatchStack, around: Mapping[str, NDArray[Any]], margin: int
 ) -> Iterator[tuple[NDArray[np.int64], Mosaic, Places]]:
-    """Yield the tiles of each block, the heights in it and up to ``margin`` tiles around it, and their places there."""
-    side = BLOCK_TILES + 2 * margin
-    place = np.stack([patches.row, patches.col], axis=1) // BLOCK_TILES
-    blocks, block = np.unique(place, axis=0, return_inverse=True)
-    corners = blocks * BLOCK_TILES + np.array([BLOCK_TILES + margin - 1, -margin])
-    for number, (north, west) in enumerate(corners.tolist()):
-        row, col = north - around["row"], around["col"] - west
-        inside = np.flatnonzero((row >= 0) & (row < side) & (col >= 0) & (col < side))
-        mosaic = _mosaic(around["heights"][inside], (row[inside], col[inside]), (side, side))
-        tiles = np.flatnonzero(block.reshape(-1) == number)
-        yield tiles, mosaic, (north - patches.row[tiles], patches.col[tiles] - west)
+    """Yield the tiles of each block, the heights in and up to ``margin`` tiles around these, and their places there."""
+    blocks = np.stack([patches.row, patches.col], axis=1) // BLOCK_TILES
+    _, block = np.unique(blocks, axis=0, return_inverse=True)
+    for tiles in map(np.flatnonzero, block.reshape(-1) == np.arange(block.max(initial=-1) + 1)[:, None]):
+        own = patches.col[tiles], patches.row[tiles]
+        window = TileWindow.around(*own).grown(margin)
+        line, column = window.cells(around["col"], around["row"])
+        inside = (line >= 0) & (line < window.rows) & (column >= 0) & (column < window.cols)
+        at = line[inside], column[inside]
+        yield tiles, _mosaic(around["heights"][inside], at, (window.rows, window.cols)), window.cells(*own)
 
 
 def _mosaic(maps: NDArray[Any], at: Places, size: tuple[int, int]) -> NDArray[Any]:

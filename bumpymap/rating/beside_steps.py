@@ -9,9 +9,8 @@ of points, because the spread of each pixel is not kept.
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from bumpymap.core import FAIL_SHARE, obstacle_reach
+from bumpymap.core import FAIL_SHARE, loops, obstacle_reach
 from bumpymap.rating.calibration import Calibration, remembered
 from bumpymap.rating.ride.motion_operator import roll_over
 from bumpymap.rating.ride.rate import RideModel, interval, take_noise_off
@@ -21,10 +20,6 @@ from bumpymap.rating.ride.thin import THIN_COLUMNS
 Floats = NDArray[np.float64]
 Marks = NDArray[np.bool_]
 
-_TOUCHING = np.array([np.zeros((3, 3)), [[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.zeros((3, 3))], np.bool_)
-"""Pixels of one tile that hang together: by their sides."""
-_APART = 1000.0
-"""Distance of tiles in a stack, px: the nearest known pixel is one of the same tile."""
 _FACE_PX = 2.3
 """From the line of a step, px: so near, a pixel may hold a part of its face."""
 _LEAST_PIXELS = 3
@@ -46,14 +41,16 @@ def rate_beside_steps(
     too steep or where too many fail; C_r [rad/m] and p_fail of the rest, (n,) each, NaN where nothing is left. Raises
     BadInputError if the ride model of the calibration is damaged.
     """
-    from_line = ndimage.distance_transform_edt(~line, (_APART, 1.0, 1.0))
+    _, from_line = _nearest(line)
     left = (from_line > _FACE_PX) & ~standing
-    area, areas = ndimage.label(left, _TOUCHING)
-    pixel = calibration.tile_size / calibration.pixels
+    number = np.empty(left.shape, np.uint8)
+    loops.number_areas(left[None].view(np.uint8), False, number[None])  # by their sides
+    most, tiles = int(number.max()), np.arange(len(line))[:, None, None]
+    areas, area = most * len(line), np.where(number > 0, number + most * tiles, 0)
+    pixel, room = calibration.tile_size / calibration.pixels, np.zeros(areas + 1)
     # Where the middle of the vehicle cannot be for the step alone, nobody asks for the ground.
-    room = ndimage.maximum(from_line, area, np.arange(areas + 1)) * pixel > obstacle_reach(calibration.body.width_m)
-    room[0] = False
-    area = np.where(room[area], area, 0)
+    np.maximum.at(room, area, from_line)
+    area[room[area] * pixel <= obstacle_reach(calibration.body.width_m)] = 0
     known = (area > 0) & np.isfinite(heights)
     rest, rise = _off_planes(heights, np.where(known, area, 0), areas)
     slope_deg = np.degrees(np.arctan(rise / pixel))
@@ -62,10 +59,9 @@ def rate_beside_steps(
     known &= is_open
     relief = np.full(heights.shape, np.nan, np.float32)
     if (usable := known.any(axis=(1, 2))).any():
-        of_known = ndimage.distance_transform_edt(
-            ~known[usable], (_APART, 1.0, 1.0), return_distances=False, return_indices=True
-        )
-        relief[usable] = rest[usable][tuple(of_known)]  # the height of the nearest known pixel of the tile
+        nearest, _ = _nearest(known[usable])
+        flat = (len(nearest), -1)
+        relief[usable] = np.take_along_axis(rest[usable].reshape(flat), nearest.reshape(flat), 1).reshape(nearest.shape)
     slope = np.where(is_open, slope_deg[area], 0.0).max(axis=(1, 2), initial=0.0)
     found = _ride(relief, known.sum(axis=(1, 2)), slope, thin, calibration)
     c_r, p_fail = (np.fmin(ours, of_whole) for ours, of_whole in zip(found, whole, strict=True))
@@ -73,6 +69,13 @@ def rate_beside_steps(
     some = is_open.any(axis=(1, 2))
     c_r, p_fail = (np.where(some, values, np.nan).astype(np.float32) for values in (c_r, p_fail))
     return left & ~is_open, c_r, p_fail
+
+
+def _nearest(marks: Marks) -> tuple[NDArray[np.int32], Floats]:
+    """Return place in its tile and distance [px] of the nearest marked pixel; -1 and infinite in tiles without any."""
+    place, square = (np.empty(marks.shape, np.int32) for _ in range(2))
+    loops.find_nearest(marks, place, square)
+    return place, np.where(place < 0, np.inf, np.sqrt(np.maximum(square, 0)))
 
 
 def _off_planes(heights: NDArray[np.floating], area: NDArray[np.integer], areas: int) -> tuple[Floats, Floats]:

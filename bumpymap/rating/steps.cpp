@@ -72,16 +72,16 @@ void find_quantiles(
     }
 }
 
-// Fills, for each tile, the median difference to the pixel `apart` pixels farther east, m; 0 where there is none.
-// `spread` takes the median distance of the differences from it, m; NaN with fewer than `least`.
+// Fills, for each tile that is asked for, the median difference to the pixel `apart` pixels farther east, m; 0 where
+// there is none. `spread` takes the median distance of the differences from it, m; NaN with fewer than `least`.
 void find_gradients(
-    Array<const double, 2> heights, Index pixels, Index apart, Index least, Array<double, 2> middle,
-    Array<double, 2> spread) {
+    Array<const double, 2> heights, Index pixels, Index apart, Index least, Array<const bool, 2> is_asked,
+    Array<double, 2> middle, Array<double, 2> spread) {
     std::vector<double> differences;
     for (Index row = 0; row < middle.shape[0]; ++row) {
         for (Index col = 0; col < middle.shape[1]; ++col) {
             differences.clear();
-            for (Index r = row * pixels; r < (row + 1) * pixels; ++r) {
+            for (Index r = is_asked(row, col) ? row * pixels : (row + 1) * pixels; r < (row + 1) * pixels; ++r) {
                 const Floats line = heights.at(r);
                 for (Index c = col * pixels; c < (col + 1) * pixels - apart; ++c)
                     add_known(differences, line[c + apart] - line[c]);
@@ -469,6 +469,11 @@ void find_peaks(
     double closing, Array<double, 3> highest, Array<std::uint8_t, 2> closed) {
     const Index cols = least.shape[1], pixels = mosaic.pixels, last = limit.shape[1] - 1;
     std::vector<double> limits(cols), felt(cols);
+    std::vector<Index> tile(cols), part_of(cols);
+    for (Index c = 0; c < cols; ++c) {
+        tile[c] = c / pixels;
+        part_of[c] = part_of_tile(c % pixels, pixels);
+    }
     Patch patch(mosaic.level);
     for (Index r = pixels; r < (limit.shape[0] - 1) * pixels; ++r) {
         const Index row = r / pixels;
@@ -481,8 +486,8 @@ void find_peaks(
         }
         keep_peaks(least.at(r), limits, felt);
         for (Index c = 0; c < cols; ++c) {
-            const Index part = part_of_tile(c % pixels, pixels);
-            const FloatsOut found = highest.at(row).at(c / pixels);
+            const Index part = part_of[c];
+            const FloatsOut found = highest.at(row).at(tile[c]);
             if (found[part] == infinite) continue;
             const double asked = std::min(found[part], closing);
             if (!(felt[c] > asked || crest(r, c) > limits[c])) continue;
@@ -713,16 +718,20 @@ void find_jumps(
     const Array<double, 2> level{memory.data(), heights.shape};  // difference of the levels of both sides, m
     JumpPatch patch(width);
     const Index near = std::max(std::min(in_line, pixels - 2 - patch.reach), Index{1}), outer = pixels - 1 - near;
-    for (Index r = outer; r < rows - outer; ++r) {
-        for (Index c = outer; c < cols - outer; ++c) {
-            const Index row = r / pixels, col = c / pixels;
-            if (is_wanted(row, col) && patch.fill(heights, r, c, east(row, col), south(row, col), closing))
-                level(r, c) = patch.jump(closing);
-        }
+    for (Index k = 0; k < is_wanted.count(); ++k) {
+        if (!is_wanted.data[k]) continue;
+        const Index row = k / is_wanted.shape[1], col = k % is_wanted.shape[1];
+        const Index bottom = std::min((row + 1) * pixels, rows - outer);
+        const Index right = std::min((col + 1) * pixels, cols - outer);
+        for (Index r = std::max(row * pixels, outer); r < bottom; ++r)
+            for (Index c = std::max(col * pixels, outer); c < right; ++c)
+                if (patch.fill(heights, r, c, east(row, col), south(row, col), closing))
+                    level(r, c) = patch.jump(closing);
     }
     for (Index r = pixels - 1; r < rows - pixels + 1; ++r) {
         for (Index c = pixels - 1; c < cols - pixels + 1; ++c) {
             const double own = level(r, c);
+            if (own == 0.0) continue;
             bool is_lower = false;
             for (Index down = -1; down <= 1; ++down) {
                 for (Index right = -1; right <= 1; ++right)
@@ -733,9 +742,62 @@ void find_jumps(
     }
 }
 
+// ---- Pixels that close ----
+
+// Pixels to each side in which another one makes a line of one with a step.
+constexpr Index beside = 2;
+
+// Marks the pixels that lie so far below one beside them; `least` is (tiles, tiles), m.
+void find_low(Array<const float, 2> heights, Index pixels, Array<const double, 2> least, Array<bool, 2> low) {
+    constexpr float lowest = -std::numeric_limits<float>::infinity();
+    const Index rows = heights.shape[0], cols = heights.shape[1];
+    std::vector<float> highest(cols + 2, lowest);  // of three rows, and no height beyond them
+    for (Index r = 0; r < rows; ++r) {
+        std::fill(highest.begin(), highest.end(), lowest);
+        for (Index row = std::max(r - 1, Index{0}); row <= std::min(r + 1, rows - 1); ++row) {
+            const Array<const float> line = heights.at(row);
+            for (Index c = 0; c < cols; ++c) highest[c + 1] = line[c] > highest[c + 1] ? line[c] : highest[c + 1];
+        }
+        for (Index col = 0; col < least.shape[1]; ++col) {
+            const double limit = least(r / pixels, col);
+            for (Index c = col * pixels; c < (col + 1) * pixels; ++c) {
+                const float top = std::max(std::max(highest[c], highest[c + 1]), highest[c + 2]);
+                low(r, c) = static_cast<double>(top - heights(r, c)) >= limit;
+            }
+        }
+    }
+}
+
+// Decides which pixels close: those of jumps, and of steps that `find_peaks` marked, `along` with rows and columns
+// exchanged. In thin tiles a step must be sure, and one more pixel near it closed or low: a single one is no line.
+void close_steps(
+    Array<const std::uint8_t, 2> across, Array<const std::uint8_t, 2> along, Index pixels, Array<const bool, 2> is_thin,
+    Array<const bool, 2> jumps, Array<const bool, 2> low, Array<bool, 2> closed) {
+    const Index rows = closed.shape[0], cols = closed.shape[1];
+    std::vector<std::uint8_t> memory(rows * cols);
+    const Array<std::uint8_t, 2> found{memory.data(), closed.shape};  // closed or low
+    std::vector<std::array<Index, 2>> doubtful;
+    for (Index r = 0; r < rows; ++r) {
+        for (Index c = 0; c < cols; ++c) {
+            const bool thin = is_thin(r / pixels, c / pixels);
+            const bool is_step = std::max(across(r, c), along(c, r)) >= (thin ? 2 : 1);
+            if (is_step && thin) doubtful.push_back({r, c});
+            closed(r, c) = is_step || jumps(r, c);
+            found(r, c) = closed(r, c) || low(r, c);
+        }
+    }
+    for (const auto [r, c] : doubtful) {
+        int number = 0;
+        for (Index row = std::max(r - beside, Index{0}); row <= std::min(r + beside, rows - 1); ++row)
+            for (Index col = std::max(c - beside, Index{0}); col <= std::min(c + beside, cols - 1); ++col)
+                number += found(row, col);
+        closed(r, c) = number > 1 || jumps(r, c);
+    }
+}
+
 }  // namespace
 }  // namespace bumpy
 
 BUMPY_RECORD(bumpy::StepMosaic, heights, pixels, level, east, south)
 
-BUMPY_LOOPS(steps, find_quantiles, find_gradients, find_raw_steps, find_peaks, find_jumps)
+BUMPY_LOOPS(steps, find_quantiles, find_gradients, find_raw_steps, find_peaks, find_jumps, find_low, close_steps)

@@ -53,9 +53,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, correlate, maximum_filter
 
-from bumpymap.core import FAIL_SHARE, NO_CLASS, BadInputError, loops
+from bumpymap.core import FAIL_SHARE, NO_CLASS, BadInputError, loops, within
 from bumpymap.rating.calibration import Calibration, remembered
 from bumpymap.rating.ride.correction import NORMAL_TAIL, class_chance
 from bumpymap.rating.ride.speed import plain_speed_factor
@@ -221,8 +220,8 @@ _APART = 3
 """Pixels between those whose heights tell the slope of a tile that is searched for jumps."""
 _JUMP_WIDTH = 5.0
 """Width of the sides of a jump, px."""
-_AROUND = np.ones((5, 5), np.uint8)
-"""A pixel and those within two of it."""
+_TOUCHING = 1.5
+"""Pixels nearer than this lie beside one another, by their sides or corners, px."""
 _JUMP = 2.4
 """Height between two pixels that is not noise, over the limit of noise: six standard deviations of a pixel."""
 _LEAST_STEPS = 12
@@ -315,7 +314,7 @@ def find_steps(
     level = min(_LEVEL_WIDTH * wheel, (pixels - _RUN - 2) / math.sqrt(2.0))
     whole, is_thin = heights, _tile_sums(np.isfinite(heights), pixels) < _MOST_COVERAGE * pixels**2
     if standing is not None and standing.any():
-        heights = np.where(binary_dilation(standing, np.ones((3, 3), np.bool_)), np.nan, heights)
+        heights = np.where(within(standing, _TOUCHING), np.nan, heights)
     z, turned = (
         np.pad(np.ascontiguousarray(part, np.float64), ((_RUN, _RUN), (0, 0)), constant_values=np.nan)
         for part in (heights, heights.T)
@@ -336,32 +335,27 @@ def find_steps(
     west, east = _borders(west_east)
     north, south = (side.T for side in _borders(north_south))
     border = np.stack([north, east, south, west], axis=-1)
-    least = np.repeat(np.repeat(np.where(is_thin, np.uint8(2), np.uint8(1)), pixels, axis=0), pixels, axis=1)
-    closed = np.maximum(marks, marks_too.T) >= least
-    jumps = np.zeros_like(closed)
+    closed, low, jumps = np.empty(sides, np.bool_), np.empty(sides, np.bool_), np.zeros(sides, np.bool_)
     wanted = is_thin & (_tile_sums(np.isfinite(whole), pixels) > _THINNEST * pixels**2)
     wanted = wanted if searched is None else wanted & searched
     if math.isfinite(closing) and wanted.any():
-        slopes = _sure_gradient(z, pixels), np.ascontiguousarray(_sure_gradient(turned, pixels).T)
+        asked = np.ascontiguousarray(wanted.T)
+        slopes = _sure_gradient(z, pixels, wanted), np.ascontiguousarray(_sure_gradient(turned, pixels, asked).T)
         dense = np.ascontiguousarray(whole, np.float64)
         loops.find_jumps(dense, pixels, *slopes, wanted, closing, min(level, _JUMP_WIDTH), jumps)
-    highest = maximum_filter(np.where(np.isnan(heights), -np.inf, heights), 3, mode="nearest")
-    low = highest - heights >= np.repeat(np.repeat(np.fmax(closing, _JUMP * noise), pixels, axis=0), pixels, axis=1)
-    doubtful = closed & (least == 2)
-    if doubtful.any():  # with few points, a single pixel is no line
-        beside = correlate((closed | jumps | low).view(np.uint8), _AROUND, mode="constant")
-        closed &= ~doubtful | (beside > 1)
+    loops.find_low(np.ascontiguousarray(heights, np.float32), pixels, np.fmax(closing, _JUMP * noise), low)
+    loops.close_steps(marks, marks_too, pixels, is_thin, jumps, low, closed)
     own = np.where(np.isnan(limit), _UNKNOWN_NOISE, limit)[1:-1, 1:-1]
     border, inner, rim, own = (part.astype(np.float32) for part in (border, inner, rim, own))
-    return TileSteps(border, inner, rim, closed | jumps, low, own)
+    return TileSteps(border, inner, rim, closed, low, own)
 
 
-def _sure_gradient(z: Floats, pixels: int) -> Floats:
-    """Return how much of the rise from a pixel to the next one, m, is beyond two standard errors, in each tile.
+def _sure_gradient(z: Floats, pixels: int, asked: NDArray[np.bool_]) -> Floats:
+    """Return how much of the rise from a pixel to the next one, m, is beyond two standard errors, in ``asked`` tiles.
 
     Pixels that are ``_APART`` tell it: of neighbours, few are known in a thin survey, and their noise counts in full.
     """
-    rise, spread = _gradient(z, pixels, _APART)
+    rise, spread = _gradient(z, pixels, _APART, asked)
     known = np.isfinite(z[_RUN:-_RUN])
     known[:, :-_APART] &= known[:, _APART:]
     columns = np.arange(known.shape[1]) % pixels
@@ -376,14 +370,16 @@ def _tile_sums(marks: NDArray[np.bool_], pixels: int) -> NDArray[np.int64]:
     return np.asarray(marks.reshape(rows, pixels, cols, pixels).sum(axis=(1, 3)))
 
 
-def _gradient(z: Floats, pixels: int, apart: int = 1) -> tuple[Floats, Floats]:
+def _gradient(z: Floats, pixels: int, apart: int = 1, asked: NDArray[np.bool_] | None = None) -> tuple[Floats, Floats]:
     """Return the median difference from a pixel to one so far east of it in each tile, m; 0 where there is none.
 
-    The second array is the median distance of the differences from it, m; NaN with too few.
+    The second array is the median distance of the differences from it, m; NaN with too few, and in tiles that are not
+    ``asked`` for, if these are given.
     """
     heights = z[_RUN:-_RUN]
     middle, spread = (np.empty((len(heights) // pixels, heights.shape[1] // pixels)) for _ in range(2))
-    loops.find_gradients(heights, pixels, apart, _LEAST_STEPS, middle, spread)
+    asked = np.ones(middle.shape, np.bool_) if asked is None else asked
+    loops.find_gradients(heights, pixels, apart, _LEAST_STEPS, asked, middle, spread)
     return middle, spread
 
 

@@ -128,6 +128,7 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
         lines = compare_lines(measured.lines)
         manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines, warnings)
         manifest |= {"page": header} if header else {}
+        return_memory()  # of the windows
         with clock.stage("write"):
             # These bring GDAL and Arrow, for which reading need not wait.
             from bumpymap.layers import write_products

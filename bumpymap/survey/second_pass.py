@@ -1,16 +1,15 @@
 """The second pass of a run: when all tiles are finished, each is looked at together with its neighbours.
 
 A step at the border of two tiles belongs to both, a vehicle is wider than a pixel, and few points say more beside those
-of the neighbours: none of that is known while the points of one block are measured. So each block is read once more
-with the tiles around it, and again to sweep the vehicle between what is then known to stand in this block and in
-those around it. What is added to a tile depends on the finished tiles alone, not on how they were divided among files,
-tasks or machines.
+of the neighbours: none of that is known while the points of one block are measured. So blocks are read once more, a
+strip of them with the tiles around it, and again to sweep the vehicle between what is then known to stand in these
+blocks and in those around them. What is added to a tile depends on the finished tiles alone, not on how they were
+divided among files, strips, tasks or machines.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import lru_cache
-from itertools import groupby, pairwise
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias, TypeVar
 
@@ -20,7 +19,6 @@ from numpy.typing import NDArray
 
 from bumpymap.core import (
     CANOPY,
-    CLOSED_WHOLLY,
     EMPTY,
     FREE,
     NO_CLASS,
@@ -65,14 +63,10 @@ from bumpymap.rating import (
     settle_objects,
 )
 from bumpymap.survey.engine import TileSink
-from bumpytiles import BLOCK_TILES, BlockKey, Column, Pack, TileTable, grouped_blocks, run_blocks
+from bumpytiles import BLOCK_TILES, BlockKey, Column, Pack, TileTable, TileWindow, run_blocks
 
-_GROUP_TILES = 256
-"""Most tiles in a group of blocks: as many as a full block has."""
-_KEPT_LITTLE = 64
-"""Blocks of which the few columns are kept that tell whether neighbours matter."""
-KEPT_BYTES = 8 << 20
-"""Most bytes of blocks that are kept in memory: 24 full ones at 15 x 15 pixels."""
+STRIP_BLOCKS = 4
+"""Most blocks of a strip that is rated at once: chosen, the tiles around it are a fifth of those in it."""
 STRIP_PIXELS = 1 << 21
 """Most pixels whose zones are looked for at once, unless a block has more: chosen, 8 MB of labels."""
 _FILL: dict[str, Any] = {"f": np.nan, "u": 255, "i": 0}
@@ -81,16 +75,37 @@ _FILL: dict[str, Any] = {"f": np.nan, "u": 255, "i": 0}
 
 @dataclass(frozen=True, slots=True)
 class NeighbourWindow:
-    """The tiles of a block and of the rings around it, as arrays over the window of n = 16 + 2 ``rings`` tiles."""
+    """The tiles of a strip of blocks and of the rings around it, as arrays over a window of n x m tiles."""
 
+    table: TileTable
+    area: TileWindow
+    """The smallest window around the tiles of the strip."""
     rings: int
-    """How many tiles lie around the block on each side."""
+    """How many tiles lie around it on each side."""
     columns: Mapping[str, NDArray[Any]]
-    """(n, n, ...) each, north row first; missing tiles are NaN, 255 in columns of bytes, 0 in other integers."""
+    """(n, m, ...) each, north row first; missing tiles are NaN, 255 in columns of bytes, 0 in other integers."""
     present: NDArray[np.bool_]
-    """(n, n) whether there is a tile."""
-    wider: Callable[[Sequence[str], int], "NeighbourWindow"]
-    """Returns some columns with more rings, up to a block."""
+    """(n, m) whether there is a tile."""
+
+    @classmethod
+    def read(cls, table: TileTable, area: TileWindow, names: Sequence[str], rings: int) -> "NeighbourWindow":
+        """Read some columns of the tiles of a window and of the rings around it."""
+        window = area.grown(rings)
+        part = table.read(names, window)
+        cells = window.cells(part["col"], part["row"])
+        columns: dict[str, NDArray[Any]] = {}
+        for name in names:
+            values = part.pop(name)
+            shape = (window.rows, window.cols, *values.shape[1:])
+            columns[name] = np.full(shape, _FILL[values.dtype.kind], values.dtype)
+            columns[name][cells] = values
+        present = np.zeros((window.rows, window.cols), np.bool_)
+        present[cells] = True
+        return cls(table, area, rings, columns, present)
+
+    def wider(self, names: Sequence[str], rings: int) -> "NeighbourWindow":
+        """Return some columns with more rings."""
+        return self.read(self.table, self.area, names, rings)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self.columns[name]
@@ -102,13 +117,14 @@ class NeighbourWindow:
         return np.ascontiguousarray(values.swapaxes(1, 2)).reshape(rows * lines, cols * samples)
 
     def inner(self, name: str) -> NDArray[Any]:
-        """Return a column of the tiles of the block alone, (16, 16, ...)."""
+        """Return a column of the tiles of the strip alone."""
         return self.columns[name][self.rings : -self.rings, self.rings : -self.rings]
 
 
+Columns = dict[str, NDArray[Any]]
 _Value = TypeVar("_Value", np.uint8, np.bool_)
 _Rating: TypeAlias = "NeighbourRating | VehicleSweep"
-"""Rates the tiles of a block with their neighbours."""
+"""Rates the tiles of a strip with their neighbours."""
 
 
 def add_neighbours(
@@ -119,84 +135,40 @@ def add_neighbours(
     The packs are named after ``kind``, which differs where one table is rated again. Raises OSError: the packs cannot
     be written.
     """
-    keys, names = table.keys, ("col", "row", *rating.needs)
-    progress.start("comparing neighbours", len(keys))
+    progress.start("comparing neighbours", len(table.keys))
     sink = TileSink(folder, kind, rating.columns)
-    tile_bytes = sum(array.nbytes for array in table.read_blocks(keys[:1], names).values()) / table.count(keys[0])
-    # The windows of two blocks side by side have six in common.
-    kept = max(1, int(KEPT_BYTES / (tile_bytes * BLOCK_TILES**2)))
-    read = lru_cache(kept)(lambda key: table.read_blocks([key], names))
-    little = lru_cache(_KEPT_LITTLE)(lambda key: table.read_blocks([key], ("col", "row", *rating.decides)))
-    groups = grouped_blocks(keys, table.count, _GROUP_TILES)
-    for rated in run_blocks(lambda group: _rate_group(table, read, little, rating, group), groups, threads):
-        for key, columns in rated:
-            sink.add(key, columns)
-        progress.advance(len(rated))
+    strips = strips_of(table.keys, STRIP_BLOCKS)
+    for blocks, columns in run_blocks(lambda strip: (strip, _rate_strip(table, rating, strip)), strips, threads):
+        add_blocks(sink, table, blocks, columns)
+        progress.advance(len(blocks))
     sink.flush()
     return table.with_columns([Pack(path) for path in sink.new_packs()])
 
 
-Columns = dict[str, NDArray[Any]]
-_Read = Callable[[BlockKey], Columns]
+def strips_of(keys: Sequence[BlockKey], most: int) -> Iterator[list[BlockKey]]:
+    """Yield runs of up to ``most`` blocks that adjoin in a row, from north to south, then from west to east."""
+    strip: list[BlockKey] = []
+    for row, col in sorted(keys, key=lambda key: (-key[0], key[1])):
+        if strip and ((row, col - 1) != strip[-1] or len(strip) == most):
+            yield strip
+            strip = []
+        strip.append((row, col))
+    yield strip
 
 
-def _rate_group(
-    table: TileTable, read: _Read, little: _Read, rating: "_Rating", keys: Sequence[BlockKey]
-) -> list[tuple[BlockKey, Columns]]:
-    """Return the new columns of some blocks, in the order of their tiles."""
-    # Together, blocks are read without the maps of heights.
-    names = ["col", "row", *(name for name in rating.needs if name != "heights")]
-    own = read(keys[0]) if len(keys) == 1 else table.read_blocks(keys, names)
-    place = {name: own[name] for name in ("col", "row")}
-    left = rating.leaves(own)
-    if left is not None and rating.decides:
-        beside = (_read_window(table, little, key, rating.decides, 1) for key in keys)
-        left = None if any(map(rating.matters, beside)) else left
-    if left is None:
-        if len(keys) > 1:
-            return [one for key in keys for one in _rate_group(table, read, little, rating, [key])]
-        rated = rating(_read_window(table, read, keys[0], rating.needs, rating.rings))
-        line, column = _cells(keys[0], place, 0)
-        new = {part.name: rated[part.name][line, column] for part in rating.columns}
-        return [(keys[0], new | place)]
-    columns = left | place
-    ends = np.cumsum([table.count(key) for key in keys]).tolist()
-    return [
-        (key, {name: array[start:stop] for name, array in columns.items()})
-        for key, (start, stop) in zip(keys, pairwise([0, *ends]), strict=True)
-    ]
+def add_blocks(sink: TileSink, table: TileTable, blocks: Sequence[BlockKey], columns: Columns) -> None:
+    """Add the columns of some blocks to packs; their tiles lie in the order of ``blocks``."""
+    ends = np.cumsum([0, *map(table.count, blocks)]).tolist()
+    for key, (start, stop) in zip(blocks, pairwise(ends), strict=True):
+        sink.add(key, {name: array[start:stop] for name, array in columns.items()})
 
 
-def _cells(
-    key: BlockKey, tiles: Mapping[str, NDArray[np.int64]], rings: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return line and column of tiles in the window around a block, from its north-west corner."""
-    north, west = (key[0] + 1) * BLOCK_TILES + rings - 1, key[1] * BLOCK_TILES - rings
-    return north - tiles["row"], tiles["col"] - west
-
-
-def _read_window(
-    table: TileTable, read: _Read, key: BlockKey, names: Sequence[str], rings: int
-) -> NeighbourWindow:  # fmt: skip
-    """Put the tiles of a block and of the rings around it together."""
-    side = BLOCK_TILES + 2 * rings
-    columns: dict[str, NDArray[Any]] = {}
-    present = np.zeros((side, side), np.bool_)
-    around = [(key[0] + down, key[1] + right) for down in (-1, 0, 1) for right in (-1, 0, 1)]
-    for beside in filter(table.count, around):
-        part = read(beside)
-        line, column = _cells(key, part, rings)
-        inside = np.flatnonzero((line >= 0) & (line < side) & (column >= 0) & (column < side))
-        if not len(inside):
-            continue
-        cells = line[inside], column[inside]
-        present[cells] = True
-        for name in names:
-            values = part[name]
-            if name not in columns:
-                columns[name] = np.full((side, side, *values.shape[1:]), _FILL[values.dtype.kind], values.dtype)
-            columns[name][cells] = values if beside == key else values[inside]
-    return NeighbourWindow(rings, columns, present, lambda *wanted: _read_window(table, read, key, *wanted))
+def _rate_strip(table: TileTable, rating: "_Rating", blocks: Sequence[BlockKey]) -> Columns:
+    """Return the new columns of the tiles of a strip."""
+    tiles = table.read_blocks(blocks, ("col", "row"))
+    area = TileWindow.around(tiles["col"], tiles["row"])
+    rated, cells = rating(NeighbourWindow.read(table, area, rating.needs, rating.rings)), area.cells(**tiles)
+    return {column.name: rated[column.name][cells] for column in rating.columns} | tiles
 
 
 _RATED = ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "reason")
@@ -218,7 +190,7 @@ _LEAST_PIXELS = 10
 
 @dataclass(frozen=True, slots=True)
 class NeighbourRating:
-    """Rates the tiles of a block with their neighbours: thin tiles, steps and standing objects.
+    """Rates the tiles of a strip with their neighbours: thin tiles, steps and standing objects.
 
     What it returns in ``barred`` is what the ground of a tile bars; `VehicleSweep` adds obstacles.
     """
@@ -226,9 +198,7 @@ class NeighbourRating:
     config: MapConfig
     calibration: Calibration
     rings: ClassVar = 2
-    """Tiles around a block that it reads: steps at the border of a neighbour are those of that."""
-    decides: ClassVar = ("class_id", "thin", "reason")
-    """Columns of the tiles around a block of unknown ones that decide whether these matter."""
+    """Tiles around a strip that it reads: steps at the border of a neighbour are those of that."""
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -248,17 +218,6 @@ class NeighbourRating:
         """The column of headings, if they were asked for."""
         return ("headings",) if self.config.headings else ()
 
-    def leaves(self, own: Mapping[str, NDArray[Any]]) -> Columns | None:
-        """Return the columns of n tiles of a block if all are unknown and stay so; None if neighbours matter.
-
-        ``own``: ``needs`` without ``heights``, (n, ...) each.
-        """
-        return None if self._known(own).any() else self._of_unknown(own)
-
-    def matters(self, window: NeighbourWindow) -> bool:
-        """Return whether a tile in the first ring around a block is known, or will be."""
-        return bool(self._known(window.columns).any())
-
     def _of_unknown(self, own: Mapping[str, NDArray[Any]]) -> Columns:
         """Return the columns of unknown tiles beside unknown ones."""
         tiles = own["class_id"].shape
@@ -276,8 +235,12 @@ class NeighbourRating:
 
     def __call__(self, window: NeighbourWindow) -> Columns:
         """Return `neighbour_columns` of the inner tiles."""
+        known = self._known(window)
+        alone = ~sliding_window_view(known[1:-1, 1:-1], (3, 3)).any(axis=(2, 3))
+        if alone.all():
+            return self._of_unknown({name: window.inner(name) for name in self.needs})
         own, grid = {name: window.inner(name) for name in (*_RATED, "slope", "coverage", *_OBJECTS)}, self.config.grid
-        known = self._known(window.columns) & self._seen(window)
+        known &= self._seen(window)
         if self.config.by_ride:
             wide = window.wider((*_RATED, "thin", "coverage", "slope"), THIN_RING)
             measured = wide["thin"], _first(wide), wide["coverage"], wide["slope"]
@@ -312,8 +275,6 @@ class NeighbourRating:
             | {"clearance": np.where((states == CANOPY).any(axis=(2, 3)), own["clearance"], nothing)}
             | self._by_heading(window, own["c_r"])
         )
-        near = sliding_window_view(self._known(window.columns)[1:-1, 1:-1], (3, 3))
-        alone = ~near.any(axis=(2, 3))
         if alone.any():
             tiles = {name: window.inner(name)[alone] for name in self.needs}
             for name, values in self._of_unknown(tiles).items():
@@ -338,10 +299,10 @@ class NeighbourRating:
         weight = ride_weight(of_first, window.inner("coverage")) if self.config.by_ride else 1.0
         return {"headings": felt_by_heading(self.calibration, window.inner("headings"), c_r, weight)}
 
-    def _known(self, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
+    def _known(self, window: NeighbourWindow) -> NDArray[np.bool_]:
         """Return which tiles have a class, or will have one."""
-        known: NDArray[np.bool_] = columns["class_id"] != NO_CLASS
-        return known | is_rateable(columns["thin"], columns["reason"]) if self.config.by_ride else known
+        known: NDArray[np.bool_] = window["class_id"] != NO_CLASS
+        return known | is_rateable(window["thin"], window["reason"]) if self.config.by_ride else known
 
     def _seen(self, window: NeighbourWindow) -> NDArray[np.bool_]:
         """Return which tiles show enough for a way: of few points the ride may be known, but not the obstacles."""
@@ -395,18 +356,18 @@ class NeighbourRating:
         return np.repeat(np.repeat(of_tiles, self.config.pixels, axis=0), self.config.pixels, axis=1)
 
     def _inner(self, mosaic: NDArray[_Value]) -> NDArray[_Value]:
-        """Cut the inner tiles out of a mosaic, (16, 16, pixels, pixels)."""
+        """Cut the inner tiles out of a mosaic, (n, m, pixels, pixels)."""
         px = self.config.pixels
-        tiles = len(mosaic) // px
-        apart = mosaic.reshape(tiles, px, tiles, px).swapaxes(1, 2)
+        rows, cols = (side // px for side in mosaic.shape)
+        apart = mosaic.reshape(rows, px, cols, px).swapaxes(1, 2)
         return apart[self.rings : -self.rings, self.rings : -self.rings]
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleSweep:
-    """Finds where the vehicle fits in the tiles of a block, and which of them it can pass.
+    """Finds where the vehicle fits in the tiles of a strip, and which of them it can pass.
 
-    Obstacles are those that `NeighbourRating` found for each tile beside the neighbours of its own block: what a block
+    Obstacles are those that `NeighbourRating` found for each tile beside the neighbours of its own strip: what a strip
     knows of those in the ring around it, from fewer neighbours, may differ. The ways through the tiles of the inner
     ring are needed to tell where an obstacle splits tiles, and depend on the obstacles in the outer one.
     """
@@ -414,28 +375,15 @@ class VehicleSweep:
     config: MapConfig
     calibration: Calibration
     rings: ClassVar = 2
-    """Tiles around a block that it reads."""
+    """Tiles around a strip that it reads."""
     needs: ClassVar = ("barred", "objects", _SIDES.name)
     """Columns that it reads."""
-    decides: ClassVar = ()
-    """Columns of the tiles around a block that decide whether these matter: a barred tile stays so."""
 
     @property
     def columns(self) -> tuple[Column, ...]:
         """Columns that it returns."""
         names = ("barred", "passable", "passage")
         return tuple(column for column in neighbour_columns(self.config.pixels) if column.name in names)
-
-    def leaves(self, own: Mapping[str, NDArray[Any]]) -> Columns | None:
-        """Return the columns of n tiles of a block if all of them are barred as a whole; else None."""
-        if not np.isin(own["barred"], CLOSED_WHOLLY).all():
-            return None
-        passable = np.zeros(len(own["barred"]), np.uint8)
-        return {"barred": own["barred"], "passable": passable, "passage": np.zeros_like(own["objects"])}
-
-    def matters(self, _: NeighbourWindow) -> bool:
-        """Return False."""
-        return False
 
     def __call__(self, window: NeighbourWindow) -> Columns:
         """Return the columns of the inner tiles."""
@@ -473,17 +421,13 @@ def add_zones(table: TileTable, body: VehicleBody, folder: Path) -> TileTable:
     """
     most = max(1, STRIP_PIXELS // (BLOCK_TILES * table.grid.pixels) ** 2)
     finder, labels = ZoneFinder(table.grid, body), list[NDArray[np.int32]]()
-    keys = sorted(table.keys, key=lambda key: (-key[0], key[1]))
-    for _, strip in groupby(keys, lambda key: (key[0], key[1] // most)):
-        blocks = list(strip)
+    strips = list(strips_of(table.keys, most))
+    for blocks in strips:
         found = table.read_blocks(blocks, ("col", "row", "passage", "barred"))
         labels.append(finder.add(blocks[0], found["col"], found["row"], found["passage"], found["barred"] == Barred.NO))
-    zones = finder.numbers()[np.concatenate(labels)]
-    sink, done = TileSink(folder, ZONE.name, (ZONE,)), 0
-    for key in keys:
-        own = zones[done : done + table.count(key)]
-        sink.add(key, {"col": own, ZONE.name: own})
-        done += len(own)
+    sink, numbers = TileSink(folder, ZONE.name, (ZONE,)), finder.numbers()
+    for blocks, own in zip(strips, labels, strict=True):
+        add_blocks(sink, table, blocks, {"col": own, ZONE.name: numbers[own]})
     sink.flush()
     return table.with_columns([Pack(path) for path in sink.new_packs()])
 
@@ -496,11 +440,12 @@ def _first(window: NeighbourWindow) -> BlockRating:
 
 
 def sides_crossed(usable: NDArray[np.bool_], steps: TileSteps, known: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return which sides of the inner tiles the vehicle can cross, (16, 16), as bits of `SIDES`.
+    """Return which sides of the inner tiles the vehicle can cross, (n, m), as bits of `SIDES`.
 
     Where nobody saw a step, such as in a thin survey, none is assumed between known tiles: the rating of both tiles
     holds what their points tell. A side without a known tile beyond it leads nowhere, but does not bar a tile of which
-    no neighbour is known. ``usable`` (16, 16, 4) are the sides whose step is none for the vehicle, ``known`` (20, 20).
+    no neighbour is known. ``usable`` (n, m, 4) are the sides whose step is none for the vehicle, ``known`` (n + 4,
+    m + 4).
     """
     known = known[1:-1, 1:-1]
     rows, cols = (side - 2 for side in known.shape)

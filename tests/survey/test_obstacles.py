@@ -244,7 +244,7 @@ def test_the_middle_of_the_vehicle_keeps_its_distance_from_every_obstacle(
     assert (apart < np.inf).any()
     assert apart[is_free].min() > 0.5 * open_map(tmp_path / "layers").vehicle.width_m + 0.09
     limit_points(block=3_000)
-    monkeypatch.setattr("bumpymap.survey.second_pass.KEPT_BYTES", 30_000)
+    monkeypatch.setattr("bumpymap.survey.second_pass.STRIP_BLOCKS", 1)
     bumpymap.map_survey(tmp_path / "survey.las", tmp_path / "parts")
     rasters = [f"rasters/{name}.tif" for name in ("roughness", "barred", "obstacle", "passage")]
     for name in (*rasters, "tiles.parquet"):

@@ -50,6 +50,12 @@ class TileWindow:
         """Return the window with ``ring`` more tiles on each side."""
         return TileWindow(self.col - ring, self.row - ring, self.cols + 2 * ring, self.rows + 2 * ring)
 
+    def cells(
+        self, col: NDArray[np.int64], row: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:  # fmt: skip
+        """Return line and column of tiles from the north-west corner of the window."""
+        return self.row + self.rows - 1 - row, col - self.col
+
     def cut(self, rows: int) -> "Iterator[tuple[int, TileWindow]]":
         """Yield windows of up to ``rows`` whole rows, north first; each with the number of rows north of it."""
         for north in range(0, self.rows, rows):
