@@ -23,6 +23,7 @@ from bumpymap.core import (
     STEEP,
     THIN_SEEN,
     FeatureSettings,
+    Mask,
     ObjectStack,
     PatchStack,
     Reason,
@@ -60,7 +61,6 @@ _BENEATH = 0.5
 """Ground so far beneath the lowest point of a bridge deck in its pixel is not that of the deck, m."""
 
 Mosaic = NDArray[np.float32]
-Marks = NDArray[np.bool_]
 
 
 class StandingLimits(NamedTuple):
@@ -84,7 +84,7 @@ class StandingLimits(NamedTuple):
     """Pixels along a side of a tile."""
 
 
-ReliefObjects = tuple[ObjectStack, Marks, Marks]
+ReliefObjects = tuple[ObjectStack, Mask, Mask]
 """Objects that stand on n tiles where all points count as ground: the stack; (n, pixels, pixels) pixels with a narrow,
 steep object, or beside one; (n,) True where the middle of the vehicle fits somewhere between such objects."""
 
@@ -157,7 +157,7 @@ def relief_margin(grid: Grid) -> int:
 
 
 def _mark_strays(
-    t: int, points: TilePoints, patches: PatchStack, body: VehicleBody, states: NDArray[np.uint8], near: Marks
+    t: int, points: TilePoints, patches: PatchStack, body: VehicleBody, states: NDArray[np.uint8], near: Mask
 ) -> None:
     """Mark the pixels of strays at the height of the vehicle as ``LONE``, and in a thin tile ``near`` around them."""
     known = np.isfinite(patches.heights[t])
@@ -215,7 +215,7 @@ def leave_out_standing(
 
 
 def _without_strays(
-    points: TilePoints, patches: PatchStack, near: Marks, settings: FeatureSettings
+    points: TilePoints, patches: PatchStack, near: Mask, settings: FeatureSettings
 ) -> tuple[TilePoints, PatchStack]:
     """Measure tiles again that are unknown because of strays, if all of these lie near objects and above the ground."""
     asked = np.flatnonzero((patches.reason == Reason.OUTLIER_RELIEF) & near.any(axis=(1, 2)))
@@ -243,7 +243,7 @@ def _without_strays(
     return points, replace(patches, **replaced)
 
 
-def _reached(near: Marks, strays: Marks) -> Marks:
+def _reached(near: Mask, strays: Mask) -> Mask:
     """Mark the pixels that are near an object, or beside strays that are."""
     reached = near
     while (more := reached | _with_neighbours(reached & strays)).sum() > reached.sum():
@@ -252,7 +252,7 @@ def _reached(near: Marks, strays: Marks) -> Marks:
 
 
 def _above_plane(
-    t: int, points: TilePoints, patches: PatchStack, known: Marks
+    t: int, points: TilePoints, patches: PatchStack, known: Mask
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Fit a plane through some heights of a tile.
 
@@ -276,7 +276,7 @@ def _pixels_of(
     return grid.pixels - 1 - north, grid.pixel(points.easting[chosen], points.col[tile])
 
 
-def _points_apart(points: TilePoints, standing: Marks) -> TilePoints:
+def _points_apart(points: TilePoints, standing: Mask) -> TilePoints:
     """Return points of which those in marked pixels, (n, pixels, pixels), are no ground."""
     if not standing.any():
         return points
@@ -310,7 +310,7 @@ def decks_as_ground(points: TilePoints) -> TilePoints:
 
 def find_standing(
     heights: Mosaic, body: VehicleBody, grid: Grid, *, width: float = _WIDTH, least: float = 0.0
-) -> Marks:  # fmt: skip
+) -> Mask:  # fmt: skip
     """Find narrow objects with steep sides in a heightmap.
 
     The surface beneath them is what a disc of ``width`` can touch from below (a morphological opening). Pixels that are
@@ -332,7 +332,7 @@ def find_standing(
     return marks
 
 
-def _with_neighbours(marks: Marks) -> Marks:
+def _with_neighbours(marks: Mask) -> Mask:
     """Mark the eight pixels around marked ones too."""
     wide = np.pad(marks, 1)
     rows = wide[2:] | wide[1:-1] | wide[:-2]
@@ -369,7 +369,7 @@ def _mosaic(maps: NDArray[Any], at: Places, size: tuple[int, int]) -> NDArray[An
     return block.reshape(size[0] * px, size[1] * px)
 
 
-def _of_tiles(mosaic: Marks, at: Places, px: int) -> Marks:
+def _of_tiles(mosaic: Mask, at: Places, px: int) -> Mask:
     """Cut tiles out of a mosaic again."""
     rows, cols = (side // px for side in mosaic.shape)
     return np.asarray(mosaic.reshape(rows, px, cols, px)[at[0], :, at[1]])

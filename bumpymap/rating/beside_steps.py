@@ -10,15 +10,12 @@ of points, because the spread of each pixel is not kept.
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import FAIL_SHARE, loops, obstacle_reach
+from bumpymap.core import FAIL_SHARE, Floats, Mask, loops, obstacle_reach
 from bumpymap.rating.calibration import Calibration, remembered
 from bumpymap.rating.ride.motion_operator import roll_over
 from bumpymap.rating.ride.rate import RideModel, interval, take_noise_off
 from bumpymap.rating.ride.speed import plain_speed_factor, speed_log_sd
 from bumpymap.rating.ride.thin import THIN_COLUMNS
-
-Floats = NDArray[np.float64]
-Marks = NDArray[np.bool_]
 
 _FACE_PX = 2.3
 """From the line of a step, px: so near, a pixel may hold a part of its face."""
@@ -29,9 +26,9 @@ _RIDGE = 1.0
 
 
 def rate_beside_steps(
-    heights: NDArray[np.floating], line: Marks, standing: Marks,
+    heights: NDArray[np.floating], line: Mask, standing: Mask,
     whole: tuple[NDArray[np.floating], NDArray[np.floating]], thin: NDArray[np.floating], calibration: Calibration,
-) -> tuple[Marks, NDArray[np.float32], NDArray[np.float32]]:  # fmt: skip
+) -> tuple[Mask, NDArray[np.float32], NDArray[np.float32]]:  # fmt: skip
     """Rate what steps leave of n tiles, in the ride of the calibration's vehicle.
 
     ``heights`` (n, pixels, pixels): mean height of the ground in each pixel, m; NaN where it is not known. ``line``,
@@ -71,7 +68,7 @@ def rate_beside_steps(
     return left & ~is_open, c_r, p_fail
 
 
-def _nearest(marks: Marks) -> tuple[NDArray[np.int32], Floats]:
+def _nearest(marks: Mask) -> tuple[NDArray[np.int32], Floats]:
     """Return place in its tile and distance [px] of the nearest marked pixel; -1 and infinite in tiles without any."""
     place, square = (np.empty(marks.shape, np.int32) for _ in range(2))
     loops.find_nearest(marks, place, square)

@@ -10,13 +10,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import FAIL_SHARE, NO_CLASS, CostMap, Georeference, PatchStack, Reason, TextureMap
+from bumpymap.core import FAIL_SHARE, NO_CLASS, CostMap, Floats, Georeference, PatchStack, Reason, TextureMap
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride.correction import NORMAL_TAIL, TAIL
 from bumpymap.rating.ride.speed import map_rule
 from bumpymap.rating.vehicle_body import with_floor
-
-Floats = NDArray[np.float64]
 
 _MIN_LOG_SD = 0.05
 """Least standard deviation of ln C_r between patches of a cell of the table. Chosen: the patches are few."""

@@ -28,11 +28,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, DrivenStretches, plain_json
+from bumpymap.core import BadInputError, DrivenStretches, Floats, plain_json
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride.correction import NORMAL_TAIL
 
-Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 SQUARE_M = 30.0
 """Side of a square of ground whose stretches share a part of the map's error."""

@@ -54,13 +54,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import FAIL_SHARE, NO_CLASS, BadInputError, loops, within
+from bumpymap.core import FAIL_SHARE, NO_CLASS, BadInputError, Floats, loops, within
 from bumpymap.rating.calibration import Calibration, remembered
 from bumpymap.rating.ride.correction import NORMAL_TAIL, class_chance
 from bumpymap.rating.ride.speed import plain_speed_factor
 from bumpymap.rating.vehicle_body import less_floor, with_floor
-
-Floats = NDArray[np.float64]
 
 STEP_COLUMNS = ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail", "confidence")
 """The columns that `apply_steps` changes."""

@@ -8,9 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Setting
-
-Floats = NDArray[np.float64]
+from bumpymap.core import Floats, Setting
 
 
 def within(what: str, low: float, high: float, unit: str) -> Setting:

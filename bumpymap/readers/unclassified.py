@@ -23,11 +23,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import POINT_GROUND, POINT_OTHER
+from bumpymap.core import POINT_GROUND, POINT_OTHER, Mask
 from bumpytiles import BLOCK_TILES, BlockKey
 
 NO_POINT, BLANK, CLASSED, GROUND, MIXED = range(5)
-"""Marks of a tile: without points; all points of class 0 or 1; of other classes too, but no ground; ground; ground and
+"""Mask of a tile: without points; all points of class 0 or 1; of other classes too, but no ground; ground; ground and
 points of class 0 or 1."""
 _SIDE_M, _FILLED = 27.0, 0.75
 """Side of a square that is large, and the share of its tiles that hold points."""
@@ -44,7 +44,6 @@ Chosen."""
 
 REACH = _GAP + 1
 """Tiles up to this number from those in question are compared with them."""
-Marks = NDArray[np.bool_]
 Lowest = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], bool]
 """Rows, columns and lowest points of some tiles, (n,) each, m; and whether of their ground points alone."""
 
@@ -114,7 +113,7 @@ class UnclassifiedPart:
         keys = np.stack([row + self.south, col + self.west], axis=1) // BLOCK_TILES
         return {(north, east) for north, east in np.unique(keys, axis=0).tolist()}
 
-    def never_classified(self, lowest: Iterable[Lowest]) -> Marks:
+    def never_classified(self, lowest: Iterable[Lowest]) -> Mask:
         """Return which tiles, (rows, cols), nobody has classified, as the module says.
 
         ``lowest``: the lowest points of the tiles in question, and the lowest ground points of
@@ -140,7 +139,7 @@ class UnclassifiedPart:
         )
         return np.asarray(found & ((of_jump > _JUMP_REACH_M / self.tile_size) | (of_level <= of_jump)))
 
-    def _compared(self, lowest: NDArray[np.float64]) -> tuple[Marks, Marks]:
+    def _compared(self, lowest: NDArray[np.float64]) -> tuple[Mask, Mask]:
         """Return which of the tiles in question are level with ground beside them, and which are not."""
         asked, ground = self.labels > 0, np.where(self.marks >= GROUND, lowest, np.nan)
         has_ground = np.isfinite(ground)
@@ -156,7 +155,7 @@ class UnclassifiedPart:
                     level, jump, left = level | (here & is_level), jump | (here & ~is_level), left & ~here
         return level, jump
 
-    def beside(self, found: Marks) -> Marks:
+    def beside(self, found: Mask) -> Mask:
         """Return which tiles, (rows, cols), lie beside found ones and hold points of class 0 or 1.
 
         The border of the part lies in them, or it leaves them at its corners.
@@ -164,7 +163,7 @@ class UnclassifiedPart:
         return np.asarray((_around(found, 3) > 0) & ~found & np.isin(self.marks, (BLANK, MIXED)))
 
 
-def _around(marks: Marks, side: int) -> NDArray[np.int32]:
+def _around(marks: Mask, side: int) -> NDArray[np.int32]:
     """Count the marks in the square of ``side`` tiles, an odd number, around each tile."""
     from scipy import ndimage
 
@@ -174,7 +173,7 @@ def _around(marks: Marks, side: int) -> NDArray[np.int32]:
     return np.asarray(counts)
 
 
-def _between(keys: NDArray[np.int64], marks: Marks, south: int, west: int, shape: tuple[int, int]) -> Marks:
+def _between(keys: NDArray[np.int64], marks: Mask, south: int, west: int, shape: tuple[int, int]) -> Mask:
     """Return which tiles of a window have marked tiles of the survey on all four sides, in their row and column.
 
     ``keys`` (n, 2) and ``marks`` (n, 16, 16) are all blocks of the survey.

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import loops
+from bumpymap.core import Floats, loops
 
 _SQUARE_M, _REACH_M = 0.5, 25.0
 """Side of the squares in which ground is compared, and distance from the sensor beyond which it is not, nor objects, m
@@ -50,8 +50,6 @@ VIEW = np.dtype(
 )
 """Record that a frame leaves for comparisons: `nearest_ranges`, `ground_heights`, `standing_objects` (NaN in unused
 rows)."""
-
-Floats = NDArray[np.float64]
 
 
 def view_of(points: NDArray[np.float32], is_ground: NDArray[np.bool_], pose: Floats) -> NDArray[Any]:

@@ -8,10 +8,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.core import Floats
 from bumpymap.readers import CELL, QUANTA, LineSums, cell_indices
-
-Floats = NDArray[np.float64]
-
 
 _LEAST_POINTS, _LEAST_OF_BOTH = 3, 8
 """Points in a cell: of each line, and of both."""

@@ -21,10 +21,9 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, loops, plain_json
+from bumpymap.core import BadInputError, Floats, loops, plain_json
 from bumpymap.rating.ride.motion_operator import Rides
 
-Floats = NDArray[np.float64]
 TAIL = 0.1
 """Probability below c_r_low and above c_r_high."""
 NORMAL_TAIL = 1.2815515655446004

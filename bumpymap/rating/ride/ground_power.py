@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import loops
+from bumpymap.core import Floats, loops
 
-Floats = NDArray[np.float64]
 _STEEPNESS = 3.0
 """Power of the ground's waves over their number: a Hurst exponent of a half. From 2.5 to 3.5 nothing changes much."""
 _LONGEST, _SHORTEST = 4, 14

@@ -11,13 +11,11 @@ the relief is denoised (as for that prediction) just so far that the same predic
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import loops
+from bumpymap.core import Floats, loops
 from bumpymap.rating.ride.correction import Correction
 from bumpymap.rating.ride.motion_operator import Rides, roll_over
 from bumpymap.rating.ride.operator import RideOperator
 from bumpymap.rating.ride.rate import take_noise_off
-
-Floats = NDArray[np.float64]
 
 _ROUNDS = 7
 """Halvings of the logarithm of the noise that is tried: 1/128 of its range is left. Chosen."""

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import AXES_DEG, loops
+from bumpymap.core import AXES_DEG, Floats, loops
 from bumpymap.rating.ride.operator import (
     NodeLattice,
     PitchSamples,
@@ -39,9 +39,6 @@ from bumpymap.rating.ride.operator import (
     wheel_rows,
 )
 from bumpymap.rating.vehicle_profile import Vehicle
-
-Floats = NDArray[np.float64]
-
 
 _APART = 2
 """Pixels between heights that are compared: 0.4 m in a tile of 3 m."""

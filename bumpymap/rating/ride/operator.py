@@ -17,10 +17,9 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bumpymap.core import AXES_DEG
+from bumpymap.core import AXES_DEG, Floats
 from bumpymap.rating.vehicle_profile import Vehicle
 
-Floats = NDArray[np.float64]
 Places = tuple[Floats, Floats, Floats]
 """Easting, northing [m] and heading [rad] of samples, (n,) each."""
 CORNERS = (1, 1, -1, -1), (1, -1, 1, -1)

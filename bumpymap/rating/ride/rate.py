@@ -18,7 +18,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import AXES_DEG, FAIL_SHARE, NO_CLASS, CostMap, Georeference, PatchStack, Reason, TextureMap, loops
+from bumpymap.core import (
+    AXES_DEG,
+    FAIL_SHARE,
+    NO_CLASS,
+    CostMap,
+    Floats,
+    Georeference,
+    PatchStack,
+    Reason,
+    TextureMap,
+    loops,
+)
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction, Prediction, class_chance
 from bumpymap.rating.ride.motion_operator import move_over, roll_over
@@ -26,7 +37,6 @@ from bumpymap.rating.ride.operator import RideOperator, cosines
 from bumpymap.rating.ride.speed import LEVEL, SpeedRating, map_rule, plain_speed_factor, speed_log_sd
 from bumpymap.rating.vehicle_body import with_floor
 
-Floats = NDArray[np.float64]
 _STEEPNESS = (2.0, 2.6, 3.2, 3.8, 4.5)
 """Exponents of the ground's spectrum that are tried: Hurst exponents from 0 to beyond 1."""
 _SHARPENED = 1.2

@@ -22,14 +22,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, CostRule, UsageError
+from bumpymap.core import BadInputError, CostRule, Floats, UsageError
 from bumpymap.rating.calibration import MAP_SPEED, Calibration, find_calibration, remembered, shipped_calibrations
 from bumpymap.rating.ride.correction import Coefficients
 from bumpymap.rating.ride.motion_operator import MotionOperator, Motions
 from bumpymap.rating.vehicle_body import less_floor, with_floor
 from bumpymap.rating.vehicle_profile import Vehicle
 
-Floats = NDArray[np.float64]
 QUANTITIES = ("c_r", "a_w")
 """Predicted at each speed: rad/m, m/s2."""
 _TERMS = {"c_r": 6, "a_w": 10}

@@ -23,6 +23,7 @@ from bumpymap.core import (
     SPANNED_POINTS,
     THIN_POINTS,
     THIN_SEEN,
+    Floats,
     Reason,
     interval_log_sd,
 )
@@ -35,7 +36,6 @@ from bumpymap.rating.ride.rate import DRIVE_LOG_SD, interval, judge
 from bumpymap.rating.ride.speed import plain_speed_factor, speed_log_sd
 from bumpymap.rating.vehicle_body import less_floor
 
-Floats = NDArray[np.float64]
 THIN_COLUMNS = (
     *("points", "seen", "slope", "squares", "pairs"),
     *("pitch_change", "pitch_change_rms", "pitch", "twist", "belly"),

@@ -18,7 +18,7 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import GROUND_SOURCE, NO_CLASS, BadInputError, Progress, Stopwatch, decide_ground
+from bumpymap.core import GROUND_SOURCE, NO_CLASS, BadInputError, Mask, Progress, Stopwatch, decide_ground
 from bumpymap.rating import is_rateable
 from bumpymap.readers import BLANK, GROUND, REACH, Chunk, Lowest, SurveyReader, UnclassifiedPart, tile_marks
 from bumpymap.survey.engine.block_work import (
@@ -229,11 +229,8 @@ def _finish(
                     collector.add_tiles(kind, own)
 
 
-Marks = NDArray[np.bool_]
-
-
 def _save_joined(
-    part: UnclassifiedPart, found: Marks, ground: TileTable, every: TileTable, work: BlockWork, space: Workspace
+    part: UnclassifiedPart, found: Mask, ground: TileTable, every: TileTable, work: BlockWork, space: Workspace
 ) -> int:
     """Save the blocks in which tiles are measured from all points, and which tiles these are; return their number.
 
