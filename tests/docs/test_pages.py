@@ -33,7 +33,7 @@ from bumpymap.readers import parse_columns
 from bumpymap.readers.drive_signals import NAMES, QUANTITIES, UNITS
 from bumpymap.scan.config import SCAN_PRODUCTS, ScanConfig
 from bumpymap.scan.pipeline import scan_frames
-from bumpymap.survey.batch.source import read_table
+from bumpymap.survey.batch.source import list_surveys
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "pages"
@@ -110,14 +110,17 @@ def test_the_columns_of_the_summary_are_described_in_their_order():
 def test_the_columns_of_a_table_are_described_and_the_example_is_one(tmp_path):
     (named,) = re.findall(r"The\s+columns are (.*?)\.\s", BATCH, re.DOTALL)
     columns = re.findall(r"`(\w+)`", named)
+    table = tmp_path / "a.csv"
+    table.write_text("survey,nonsense", encoding="utf-8")
     with pytest.raises(UsageError) as caught:
-        read_table("survey,nonsense", "a.csv", tmp_path)
+        list_surveys(table, "file")
     assert sorted(str(caught.value).split("there are: ")[1].split(", ")) == sorted(["survey", "name", *columns])
     (tmp_path / "2026-05-03").mkdir()
     for name in ("north", "south"):
         (tmp_path / "2026-05-03" / f"{name}.laz").touch()
     (example,) = re.findall(r"```text\n(survey,.*?)```", BATCH, re.DOTALL)
-    north, south = read_table(example, "a.csv", tmp_path)
+    table.write_text(example, encoding="utf-8")
+    north, south = list_surveys(table, "file")
     assert north == (tmp_path / "2026-05-03" / "north.laz", "north", {"crs": "EPSG:32614"})
     assert south[2] == {"crs": "EPSG:32615", "ground": "csf", "vehicle": "car"}
 

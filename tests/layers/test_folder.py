@@ -327,7 +327,6 @@ def dataset(folder, _):
 def tables(folder, _):
     layers = open_layers(folder)
     layers.tiles()
-    layers.regions()
 
 
 def virtual(path, aim):
@@ -427,7 +426,6 @@ def damage(path):
         *(("rasters/class.tif", read) for read in (report, dataset, diff, bag)),
         *(("rasters/heightmap.tif", read) for read in (report, dataset, diff, check)),
         *(("tiles.parquet", read) for read in (report, tables)),
-        ("cost.fgb", tables),
     ],
 )
 def test_a_layer_that_is_not_the_one_of_the_manifest_or_not_there_is_refused(one, tmp_path, name, read):

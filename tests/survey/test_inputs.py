@@ -249,7 +249,7 @@ def test_scan(folder):
     assert len(names) == 3
     assert set(pq.read_table((out / "sectors.parquet").open("rb"))["frame"].to_pylist()) == names
     assert {path.name for path in (out / "frames").iterdir()} == {
-        f"{name}.{ending}" for name in names for ending in ("json", "ply", "png")
+        f"{name}.{ending}" for name in names for ending in ("ply", "png")
     }
     assert rasterio.open((out / "map" / "rasters/class.tif").open("rb")).width > 0
 
