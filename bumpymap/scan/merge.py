@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Robot, loops
-from bumpymap.scan.align import VIEW, VIEW_REACH_M, Floats, judge_by_view, view_of
+from bumpymap.core import BadInputError, Floats, Robot, loops
+from bumpymap.scan.align import VIEW, VIEW_REACH_M, judge_by_view, view_of
 from bumpymap.scan.pose_checks import PoseCheck, way_along
 from bumpymap.scan.registration import correct_poses
 

@@ -17,10 +17,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bumpymap.core import BadInputError
+from bumpymap.core import BadInputError, Floats
 from bumpymap.scan.align import (
     VIEW_REACH_M,
-    Floats,
     HeightDifference,
     ObjectFit,
     compare_heights,

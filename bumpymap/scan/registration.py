@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import UsageError, install_command
-from bumpymap.scan.align import Floats
+from bumpymap.core import Floats, UsageError, install_command
 
 _THINNED_M, _NEIGHBOURS = 0.25, 30
 """Edge of the voxels of which one point is used, m, and number of points near one that show its surface (chosen): more
