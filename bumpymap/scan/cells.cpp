@@ -356,7 +356,8 @@ void find_row(Index row, const BinRings& rings, const CellRule& rule, Scratch<Ce
             const double place = ((across + edge) / far + 1.0) * (0.5 * side_rays);
             return static_cast<std::int32_t>(std::clamp(place, 0.0, static_cast<double>(side_rays)));
         };
-        const std::int32_t first = ray(-0.5), begin = side_rays * ((lead > 0.0 ? 0 : 2) + (ahead ? 0 : 1));
+        const auto begin = static_cast<std::int32_t>(side_rays * ((lead > 0.0 ? 0 : 2) + (ahead ? 0 : 1)));
+        const std::int32_t first = ray(-0.5);
         out[column] = {
             rings.parts(east * east + north * north),
             static_cast<std::int32_t>(turn * static_cast<double>(bin_columns * bin_parts)), begin + first,
