@@ -22,7 +22,6 @@ from .passable import (
     settle_objects as settle_objects,
 )
 from .ride.correction import (
-    NORMAL_TAIL as NORMAL_TAIL,
     TAIL as TAIL,
     Correction as Correction,
     fail_features as fail_features,

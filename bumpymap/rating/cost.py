@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import FAIL_SHARE, NO_CLASS, CostMap, Floats, Georeference, PatchStack, Reason, TextureMap
+from bumpymap.core import FAIL_SHARE, NO_CLASS, NORMAL_80, CostMap, Floats, Georeference, PatchStack, Reason, TextureMap
 from bumpymap.rating.calibration import Calibration
-from bumpymap.rating.ride.correction import NORMAL_TAIL, TAIL
+from bumpymap.rating.ride.correction import TAIL
 from bumpymap.rating.ride.speed import map_rule
 from bumpymap.rating.vehicle_body import with_floor
 
@@ -47,7 +47,7 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
     too_steep = patches.slope[known] > calibration.profile.slope_limit_deg
     mixture = chance, log_mean - 0.5 * log_sd**2, log_sd  # the tables hold the logarithm of the mean
     low, high = (
-        np.exp(_quantile(mixture, share, normal)) for share, normal in ((TAIL, -NORMAL_TAIL), (1 - TAIL, NORMAL_TAIL))
+        np.exp(_quantile(mixture, share, normal)) for share, normal in ((TAIL, -NORMAL_80), (1 - TAIL, NORMAL_80))
     )
     edges = np.concatenate(([-np.inf], np.log(calibration.class_limits), [np.inf]))
     failing = too_steep | (p_fail >= FAIL_SHARE)

@@ -28,9 +28,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, DrivenStretches, Floats, plain_json
+from bumpymap.core import NORMAL_80, BadInputError, DrivenStretches, Floats, plain_json
 from bumpymap.rating.calibration import Calibration
-from bumpymap.rating.ride.correction import NORMAL_TAIL
 
 Integers = NDArray[np.int64]
 SQUARE_M = 30.0
@@ -45,7 +44,7 @@ speed; the sensor cannot tell so little motion."""
 _FOLD_M, _FOLDS, _LEAST_DRIVES = 50.0, 10, 3
 """Left out together are whole drives, if there are at least three, else pieces of the way of at least 50 m; in ten
 parts at most. Chosen."""
-_INTERVAL_SD = 2 * NORMAL_TAIL
+_INTERVAL_SD = 2 * NORMAL_80
 """Width of an 80 % interval in standard deviations."""
 _LEAST_MAP_SD = 0.03
 """Least standard deviation of ln C_r by the map's interval that is believed."""
@@ -567,7 +566,7 @@ def _update(
         prior=prior,
         posterior=posterior,
         floor=(floor, round(math.exp(posterior.mean[2]), _DECIMALS) if len(posterior.mean) > 2 else floor),
-        factor=(math.exp(by - NORMAL_TAIL * sd), math.exp(by), math.exp(by + NORMAL_TAIL * sd)),
+        factor=(math.exp(by - NORMAL_80 * sd), math.exp(by), math.exp(by + NORMAL_80 * sd)),
         ratio=(float(np.exp(-np.median(left_before))), float(np.exp(np.median(fitted - evidence.log_measured)))),
         held_out_error=(_median_error(left_before), _median_error(left)),
         gain=_gain(score, score_before),

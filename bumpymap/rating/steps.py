@@ -54,9 +54,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import FAIL_SHARE, NO_CLASS, BadInputError, Floats, loops, within
+from bumpymap.core import FAIL_SHARE, NO_CLASS, NORMAL_80, BadInputError, Floats, loops, within
 from bumpymap.rating.calibration import Calibration, remembered
-from bumpymap.rating.ride.correction import NORMAL_TAIL, class_chance
+from bumpymap.rating.ride.correction import class_chance
 from bumpymap.rating.ride.speed import plain_speed_factor
 from bumpymap.rating.vehicle_body import less_floor, with_floor
 
@@ -121,7 +121,7 @@ def apply_steps(
     # Without a step there is nothing that a floor could be added to.
     c_r, low, high = (
         np.where(driven > 0.0, with_floor(driven * np.exp(tail * sd), calibration.map_floor), 0.0)
-        for tail in (0.0, -NORMAL_TAIL, NORMAL_TAIL)
+        for tail in (0.0, -NORMAL_80, NORMAL_80)
     )
     raised = known & (c_r > own["c_r"])
     felt = {

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bumpymap.core import BumpymapError
+from bumpymap.core import NORMAL_80, BumpymapError
 from bumpymap.lab.simulate.ride_fit import DrivenPatches, fit_correction, student_factor
-from bumpymap.rating import NORMAL_TAIL, Rides
+from bumpymap.rating import Rides
 
 pytestmark = pytest.mark.slow
 COUNT = 400
@@ -62,7 +62,7 @@ def test_intervals_hold_their_share():
     found = predicted(correction, unseen)
     good = unseen.failed <= 2
     away = np.log(unseen.c_r) - found.log_c_r
-    inside = (away > -NORMAL_TAIL * found.below) & (away < NORMAL_TAIL * found.above)
+    inside = (away > -NORMAL_80 * found.below) & (away < NORMAL_80 * found.above)
     assert 0.72 < inside[good].mean() < 0.88
 
 

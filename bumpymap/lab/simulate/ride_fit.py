@@ -19,12 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import SPANNED_POINTS, THIN_POINTS, BumpymapError, FeatureSettings, Floats, Reason
+from bumpymap.core import NORMAL_80, SPANNED_POINTS, THIN_POINTS, BumpymapError, FeatureSettings, Floats, Reason
 from bumpymap.lab.simulate.model import relief_and_slope
 from bumpymap.lab.terrains import FINE, Terrain, survey_terrain
 from bumpymap.patches import measure, measure_thin
 from bumpymap.rating import (
-    NORMAL_TAIL,
     TAIL,
     THIN_COLUMNS,
     Correction,
@@ -253,7 +252,7 @@ def _fit_spread(
         if score[at] < best:
             best, found = float(score[at]), (low, ends[at])
     # Scale of that distribution as the standard deviation of the normal one with the same 80 % interval.
-    widen = np.log(_STUDENT_TAIL / NORMAL_TAIL)
+    widen = np.log(_STUDENT_TAIL / NORMAL_80)
     return float(found[0] + widen), float(found[1] + widen)
 
 
@@ -266,7 +265,7 @@ def _calibrate_spread(
     """
     own = np.exp(np.interp(log_g, log_range, spread))
     factors = np.geomspace(0.5, 3.0, 181)
-    contained = np.abs(residual) <= NORMAL_TAIL * np.hypot(factors[:, None] * own, mean_error)
+    contained = np.abs(residual) <= NORMAL_80 * np.hypot(factors[:, None] * own, mean_error)
     factor = factors[int(np.argmin(np.abs(contained.mean(axis=1) - (1 - 2 * TAIL))))]
     low, high = (float(0.5 * np.log((factor * np.exp(side)) ** 2 + _VALIDATION_ERROR**2)) for side in spread)
     return low, high
@@ -274,7 +273,7 @@ def _calibrate_spread(
 
 def student_factor(drives: NDArray[np.int64]) -> Floats:
     """Return Student's t quantile over the normal one for a mean of that many drives (first Cornish-Fisher term)."""
-    wider: Floats = 1 + (NORMAL_TAIL**2 + 1) / (4 * (drives.astype(np.float64) - 1))
+    wider: Floats = 1 + (NORMAL_80**2 + 1) / (4 * (drives.astype(np.float64) - 1))
     return wider
 
 
@@ -383,7 +382,7 @@ def _fit_thin(
     widths = spread_terms(columns, strength, felt, relief)
     spread = _robust_fit(widths, np.log(np.maximum(np.abs(residual), _LEAST_RESIDUAL)), sure)
     known = np.hypot(np.exp(widths @ spread), error)
-    low, high = np.quantile(residual / known, (TAIL, 1 - TAIL)) / NORMAL_TAIL
+    low, high = np.quantile(residual / known, (TAIL, 1 - TAIL)) / NORMAL_80
     # The library holds little ground that fails, a survey may hold nothing else: failed and completed drives weigh
     # alike, so that a tile about which the points say nothing is as likely to fail as not.
     failing = float(np.clip(p_fail.mean(), 1e-6, 1 - 1e-6))

@@ -21,13 +21,11 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Floats, loops, plain_json
+from bumpymap.core import NORMAL_80, BadInputError, Floats, loops, plain_json
 from bumpymap.rating.ride.motion_operator import Rides
 
 TAIL = 0.1
 """Probability below c_r_low and above c_r_high."""
-NORMAL_TAIL = 1.2815515655446004
-"""Absolute value of the standard normal quantile at ``TAIL``."""
 _MIN_C_R = 1e-5
 """Smallest geometric C_r, rad/m; values below it are rounding errors."""
 _MIN_NOISE_SHARE = 0.1
@@ -172,8 +170,8 @@ class Correction(Coefficients):
         )
         return Prediction(
             log_c_r=log_c_r + shift,
-            below=np.hypot(sd, (shift - down) / NORMAL_TAIL),
-            above=np.hypot(sd, (up - shift) / NORMAL_TAIL),
+            below=np.hypot(sd, (shift - down) / NORMAL_80),
+            above=np.hypot(sd, (up - shift) / NORMAL_80),
             p_fail=1 / (1 + np.exp(-np.clip(fail_features(rides, slope_deg) @ np.array(self.fail), -40, 40))),
         )
 

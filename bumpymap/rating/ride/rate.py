@@ -22,6 +22,7 @@ from bumpymap.core import (
     AXES_DEG,
     FAIL_SHARE,
     NO_CLASS,
+    NORMAL_80,
     CostMap,
     Floats,
     Georeference,
@@ -31,7 +32,7 @@ from bumpymap.core import (
     loops,
 )
 from bumpymap.rating.calibration import Calibration
-from bumpymap.rating.ride.correction import NORMAL_TAIL, Correction, Prediction, class_chance
+from bumpymap.rating.ride.correction import Correction, Prediction, class_chance
 from bumpymap.rating.ride.motion_operator import move_over, roll_over
 from bumpymap.rating.ride.operator import RideOperator, cosines
 from bumpymap.rating.ride.speed import LEVEL, SpeedRating, map_rule, plain_speed_factor, speed_log_sd
@@ -163,7 +164,7 @@ class RideModel:
 
 def interval(found: Prediction, floor: float) -> tuple[Floats, Floats, Floats]:
     """Return C_r and both ends of the interval in which 80 % of drives lie, of n predictions, rad/m, with the floor."""
-    below, above = (NORMAL_TAIL * np.hypot(side, DRIVE_LOG_SD) for side in (found.below, found.above))
+    below, above = (NORMAL_80 * np.hypot(side, DRIVE_LOG_SD) for side in (found.below, found.above))
     ends = (found.log_c_r, found.log_c_r - below, found.log_c_r + above)
     c_r, low, high = (with_floor(np.exp(value), floor) for value in ends)
     return c_r, low, high
