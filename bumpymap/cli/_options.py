@@ -87,7 +87,7 @@ class GroupedCommand(click.Command):
             key, value = self.moved[error.option_name]
             raise UsageError(
                 f"{error.option_name} is no option: write --set {key}={value}, or put it into a file for --config "
-                f"(bumpymap settings {' '.join(ctx.command_path.split()[1:])} prints one)"
+                f"(bumpymap settings{ctx.command_path.removeprefix(ctx.find_root().command_path)} prints one)"
             ) from error
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -291,7 +291,9 @@ def _with_keys(owners: Iterable[type], table: str = "") -> Iterator[tuple[str, s
     """Yield for each setting of some classes the option that it would be, its key in a settings file, and a value."""
     for owner in owners:
         for each, setting in settings_with_options(owner):
-            yield _spelled(each, setting), table + each.name, setting.metavar or ("false" if each.default else "true")
+            flag = "false" if each.default else "true"
+            choices = "|".join(map(str, get_args(each.kind))) if get_origin(each.kind) is Literal else flag
+            yield _spelled(each, setting), table + each.name, setting.metavar or choices
         tables = [each for each in declared_fields(owner).values() if is_dataclass(each.kind)]
         for each in tables:
             yield from _with_keys([each.kind], f"{each.name}.")

@@ -126,6 +126,7 @@ REFUSED = [
     (2, "evaluate scans drive --out OUT --set total_patches=200", "total_patches"),
     (2, "evaluate scans --out OUT", "FRAME"),
     (2, "train textures --out OUT.onnx --tile-size 3", "--tile-size is no option: write --set tile_size=M"),
+    (2, "map site.laz --rating table", "--rating is no option: write --set rating=ride|table"),
     (2, "train scans '' --out OUT.onnx", "the path is empty"),
     (3, "train scans none --out OUT.onnx", "holds no scans"),
     (3, "train textures --out not.onnx", "--overwrite"),
