@@ -36,7 +36,6 @@ from bumpymap.route.straighten import (
     as_costs,
     is_clear,
     line_cost,
-    off_borders,
     pull_tight,
     thin_out,
     trace,
@@ -324,7 +323,6 @@ def tight_way(found: Found, margin: float, least_saving: float = LEAST_SAVING) -
         raise ValueError("no way has been found")
     near, corner = _cut_out(found.ground, found.line)
     line = thin_out(near, pull_tight(near, found.line - corner, wide_margin(margin)), margin, least_saving)
-    line = off_borders(near, line, margin)
     return found.frame.turn_line_back(line + corner)
 
 
