@@ -388,6 +388,17 @@ def spread(
     return np.ascontiguousarray(inner(g)), np.ascontiguousarray(inner(back))
 
 
+def sum_along(before: NDArray[np.integer], value: Floats) -> Floats:
+    """Add the values of all nodes before each one, (n + 1,), to its own, in place.
+
+    The first of a path has ``before`` n: the last is no node, has the value 0, and comes before itself.
+    """
+    while (before < len(value) - 1).any():  # each pass doubles how many are added
+        value += value[before]
+        before = before[before]
+    return value
+
+
 def follow_back(back: NDArray[np.uint8], row: int, col: int) -> Floats:
     """Follow the moves of `spread` from a tile that has been reached back to the start.
 
