@@ -239,7 +239,11 @@ def fit_clock(places: MetrePlaces, time: Floats, heading: Floats, name: str) -> 
         [_explained(velocity * use, _steps(even, offset, time, heading, speed), group) for offset in offsets]
     )
     best = int(np.argmax(explained))
-    sure = 0 < best < len(offsets) - 1 and _stands_out(explained, float((np.abs(velocity[use]) ** 2).sum()))
+    power = float((np.abs(velocity[use]) ** 2).sum())
+    left = power - explained
+    # Sure if it explains more than chance: what is left must grow clearly to both sides.
+    clearly = min(left[0], left[-1]) - left[best] > 0.05 * max(left[best], 1e-3 * power)
+    sure = bool(0 < best < len(offsets) - 1 and clearly)
     offset = 0.0
     if sure:  # the top of the parabola through the best offset and its neighbours
         below, top, above = explained[best - 1 : best + 2]
@@ -262,13 +266,6 @@ def _explained(velocity: Complexes, steps: Complexes, group: NDArray[np.int64]) 
     both = np.bincount(group, product.real) + 1j * np.bincount(group, product.imag)
     power = np.bincount(group, np.abs(steps) ** 2)
     return float((np.abs(both) ** 2 / np.maximum(power, 1e-12)).sum())
-
-
-def _stands_out(explained: Floats, power: float) -> bool:
-    """Return whether the best offset explains more than chance: what is left must grow clearly to both sides."""
-    left = power - explained
-    best = int(np.argmin(left))
-    return bool(min(left[0], left[-1]) - left[best] > 0.05 * max(left[best], 1e-3 * power))
 
 
 def refuse_wrong_unit(places: MetrePlaces, offset_s: float, time: Floats, heading: Floats, name: str) -> None:

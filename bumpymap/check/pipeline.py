@@ -41,7 +41,6 @@ from bumpymap.core import (
 )
 from bumpymap.layers import (
     CHECK_FILES,
-    CHECK_FORMAT,
     MANIFEST_NAME,
     MapOffset,
     MapReader,
@@ -467,7 +466,7 @@ def write_check(
         checked = {"layers": [layers], **{name: ground.manifest[name] for name in ("vehicle", "calibration")}}
         checked |= {} if placement is None else place_entries(placement)
 
-    head = {"format": CHECK_FORMAT, "version": 1, **(manifest or {}), "versions": software_versions(), **checked}
+    head = {"format": "bumpymap-check", "version": 1, **(manifest or {}), "versions": software_versions(), **checked}
     found = check_entries(result)
     writers: dict[str, Callable[[Path], None]] = {
         "check.html": partial(write_check_page, result, ground if placement is not None else None)
