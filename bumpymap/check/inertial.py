@@ -9,7 +9,6 @@ For the offset of the positions' clock, their velocity is compared with unit ste
 at the right offset they differ by speed and by one constant turn. `track` refines the offset together with the way.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -89,24 +88,17 @@ def even_imu(imu: ImuTrack, name: str, band_hz: float) -> EvenImu:
     has_force = bool(np.isfinite(force).all(axis=1).mean() > 0.5)
     values = np.concatenate([rate, np.nan_to_num(force)], axis=1)
     even = np.zeros((len(grid), 6))
-    for part in _whole_pieces(time, step):
-        inside = slice(*np.searchsorted(grid, (time[part.start], time[part.stop - 1] + 1e-9)))
-        even[inside] = make_interp_spline(time[part], values[part], k=3)(grid[inside])
-        known[inside] = True
+    gaps = np.flatnonzero(np.diff(time) > max(_GAP_SAMPLES * step, _GAP_S)) + 1
+    for start, stop in pairwise([0, *gaps.tolist(), len(time)]):
+        if time[stop - 1] - time[start] >= _LEAST_PIECE_S:
+            inside = slice(*np.searchsorted(grid, (time[start], time[stop - 1] + 1e-9)))
+            even[inside] = make_interp_spline(time[start:stop], values[start:stop], k=3)(grid[inside])
+            known[inside] = True
     if not known.any():
         raise BadInputError(
             f"{name}: no {_LEAST_PIECE_S:g} s without a gap in the angular rates. Record the IMU without losses"
         )
     return EvenImu(grid, even[:, :3], even[:, 3:] if has_force else np.full((len(grid), 3), np.nan), known, hertz)
-
-
-def _whole_pieces(time: Floats, step: float) -> Iterator[slice]:
-    """Yield the pieces of a record between gaps, without short ones."""
-    pause = max(_GAP_SAMPLES * step, _GAP_S)
-    ends = [0, *(np.flatnonzero(np.diff(time) > pause) + 1).tolist(), len(time)]
-    for start, stop in pairwise(ends):
-        if time[stop - 1] - time[start] >= _LEAST_PIECE_S:
-            yield slice(start, stop)
 
 
 def pieces(known: Mask) -> list[slice]:
