@@ -3,7 +3,7 @@
 
 #define BUMPY_SOURCES                                                                                              \
     align, beside_steps, cells, deskewing, ground_power, las, line_ride, measure, merge, motion_operator, objects, \
-        pairs, passable, point_stats, rate, reach, search, sectors, solids, standing, steps, straighten
+        pairs, passable, point_stats, rate, search, sectors, solids, standing, steps, straighten
 
 #define DECLARE(name) void bind_##name(nb::module_& module);
 BUMPY_EACH(DECLARE, BUMPY_SOURCES)

@@ -477,18 +477,16 @@ def ride_change(before: RideSides, after: RideSides, common: tuple[float, float]
 
     ``before``, ``after``: of arrays of any shape; ``common``: of `common_error`, taken off both spreads.
     """
+    (model_error, floor), logs, spreads = common, [], []
     with np.errstate(divide="ignore", invalid="ignore"):
-        (first, of_first), (second, of_second) = (_log_and_spread(*sides, *common) for sides in (before, after))
-        ratio, sd = second - first, np.hypot(of_first, of_second)
+        for c_r, sides in ((each.astype(np.float64), sides) for each, sides in (before, after)):
+            logs.append(np.log(c_r))
+            shared = model_error * np.clip(1.0 - (floor / c_r) ** 2, 0.0, 1.0)
+            # Of the survey's own error, the mean of both sides.
+            spreads.append(np.sqrt(np.maximum(sides**2 - shared**2, (_LEAST_OWN * sides) ** 2)).mean(axis=0))
+        ratio, sd = logs[1] - logs[0], np.hypot(*spreads)
         known = np.isfinite(ratio / sd)
     return np.where(known, ratio, np.nan), np.where(known, sd, np.nan)
-
-
-def _log_and_spread(c_r: NDArray[np.float32], sides: Floats, model_error: float, floor: float) -> tuple[Floats, Floats]:
-    """Return ln c_r and the standard deviation of the survey's own error in it, the mean of both sides."""
-    middle = np.log(c_r.astype(np.float64))
-    shared = model_error * np.clip(1.0 - (floor / c_r.astype(np.float64)) ** 2, 0.0, 1.0)
-    return middle, np.sqrt(np.maximum(sides**2 - shared**2, (_LEAST_OWN * sides) ** 2)).mean(axis=0)
 
 
 LEAST_CELLS = 16

@@ -9,7 +9,6 @@ For the offset of the positions' clock, their velocity is compared with unit ste
 at the right offset they differ by speed and by one constant turn. `track` refines the offset together with the way.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -89,24 +88,17 @@ def even_imu(imu: ImuTrack, name: str, band_hz: float) -> EvenImu:
     has_force = bool(np.isfinite(force).all(axis=1).mean() > 0.5)
     values = np.concatenate([rate, np.nan_to_num(force)], axis=1)
     even = np.zeros((len(grid), 6))
-    for part in _whole_pieces(time, step):
-        inside = slice(*np.searchsorted(grid, (time[part.start], time[part.stop - 1] + 1e-9)))
-        even[inside] = make_interp_spline(time[part], values[part], k=3)(grid[inside])
-        known[inside] = True
+    gaps = np.flatnonzero(np.diff(time) > max(_GAP_SAMPLES * step, _GAP_S)) + 1
+    for start, stop in pairwise([0, *gaps.tolist(), len(time)]):
+        if time[stop - 1] - time[start] >= _LEAST_PIECE_S:
+            inside = slice(*np.searchsorted(grid, (time[start], time[stop - 1] + 1e-9)))
+            even[inside] = make_interp_spline(time[start:stop], values[start:stop], k=3)(grid[inside])
+            known[inside] = True
     if not known.any():
         raise BadInputError(
             f"{name}: no {_LEAST_PIECE_S:g} s without a gap in the angular rates. Record the IMU without losses"
         )
     return EvenImu(grid, even[:, :3], even[:, 3:] if has_force else np.full((len(grid), 3), np.nan), known, hertz)
-
-
-def _whole_pieces(time: Floats, step: float) -> Iterator[slice]:
-    """Yield the pieces of a record between gaps, without short ones."""
-    pause = max(_GAP_SAMPLES * step, _GAP_S)
-    ends = [0, *(np.flatnonzero(np.diff(time) > pause) + 1).tolist(), len(time)]
-    for start, stop in pairwise(ends):
-        if time[stop - 1] - time[start] >= _LEAST_PIECE_S:
-            yield slice(start, stop)
 
 
 def pieces(known: Mask) -> list[slice]:
@@ -239,7 +231,11 @@ def fit_clock(places: MetrePlaces, time: Floats, heading: Floats, name: str) -> 
         [_explained(velocity * use, _steps(even, offset, time, heading, speed), group) for offset in offsets]
     )
     best = int(np.argmax(explained))
-    sure = 0 < best < len(offsets) - 1 and _stands_out(explained, float((np.abs(velocity[use]) ** 2).sum()))
+    power = float((np.abs(velocity[use]) ** 2).sum())
+    left = power - explained
+    # Sure if it explains more than chance: what is left must grow clearly to both sides.
+    clearly = min(left[0], left[-1]) - left[best] > 0.05 * max(left[best], 1e-3 * power)
+    sure = bool(0 < best < len(offsets) - 1 and clearly)
     offset = 0.0
     if sure:  # the top of the parabola through the best offset and its neighbours
         below, top, above = explained[best - 1 : best + 2]
@@ -262,13 +258,6 @@ def _explained(velocity: Complexes, steps: Complexes, group: NDArray[np.int64]) 
     both = np.bincount(group, product.real) + 1j * np.bincount(group, product.imag)
     power = np.bincount(group, np.abs(steps) ** 2)
     return float((np.abs(both) ** 2 / np.maximum(power, 1e-12)).sum())
-
-
-def _stands_out(explained: Floats, power: float) -> bool:
-    """Return whether the best offset explains more than chance: what is left must grow clearly to both sides."""
-    left = power - explained
-    best = int(np.argmin(left))
-    return bool(min(left[0], left[-1]) - left[best] > 0.05 * max(left[best], 1e-3 * power))
 
 
 def refuse_wrong_unit(places: MetrePlaces, offset_s: float, time: Floats, heading: Floats, name: str) -> None:

@@ -41,7 +41,6 @@ from bumpymap.core import (
 )
 from bumpymap.layers import (
     CHECK_FILES,
-    CHECK_FORMAT,
     MANIFEST_NAME,
     MapOffset,
     MapReader,
@@ -54,9 +53,8 @@ from bumpymap.layers import (
     software_versions,
     write_stretches,
 )
-from bumpymap.rating import map_calibration
 from bumpymap.readers import close_log_reader, drive_files, read_drive
-from bumpymap.route import LineVehicle
+from bumpymap.route import LineVehicle, line_vehicle
 from bumpymap.views import check_layers, view_writers, write_check_page
 
 _LEAST_STRETCHES = 5
@@ -282,31 +280,23 @@ def run_check(config: CheckConfig, progress: Progress | None = None) -> tuple[Ch
     logs = _usable(((place, partial(read, place)) for place in counted(config.drives, progress)), skipped)
     close_log_reader()
     field = None if site is None else _field(site, [places for _, places in logs.values()])
-    vehicle, unknown = (None, None) if site is None else _line_vehicle(site, config)
+    vehicle, why_not = (None, "") if site is None else line_vehicle(site, config.calibration, motion=False)
     progress.start("measuring drives", len(logs))
     left = counted(list(logs.items()), progress)
     done = _usable(((place, partial(_measured, *log, config, site, field, vehicle)) for place, log in left), skipped)
     for place, why in skipped.items():
         _log.warning("%s is left out: %s", place, why)
     result = _compared(list(done.values()), site)
-    result = replace(result, skipped=skipped, warnings=(*result.warnings, *([unknown] if unknown else ())))
+    if why_not:
+        alone = f"the drives are compared with the tiles alone, not with the ride of their own lines: {why_not}"
+        result = replace(result, warnings=(*result.warnings, alone))
+    result = replace(result, skipped=skipped)
     files: list[Path] = []
     if config.out is not None:
         progress.start("writing the check", None)
         manifest = {"settings": asdict(config)}
         files = write_check(result, config.out, ground=site, manifest=manifest, overwrite=config.overwrite)
     return result, tuple(files)
-
-
-def _line_vehicle(site: MapReader, config: CheckConfig) -> tuple[LineVehicle | None, str | None]:
-    """Return what rolls along the driven lines; if that cannot be, why."""
-    try:
-        made = map_calibration(site.manifest, site.grid.tile_size, config.calibration)
-        return LineVehicle.of(site, made, motion=False), None
-    except (BadInputError, UsageError) as error:
-        if config.calibration is not None:
-            raise
-        return None, f"the drives are compared with the tiles alone, not with the ride of their own lines: {error}"
 
 
 def _usable(steps: Iterable[tuple[str, Callable[[], Found]]], skipped: dict[str, str]) -> dict[str, Found]:
@@ -467,7 +457,7 @@ def write_check(
         checked = {"layers": [layers], **{name: ground.manifest[name] for name in ("vehicle", "calibration")}}
         checked |= {} if placement is None else place_entries(placement)
 
-    head = {"format": CHECK_FORMAT, "version": 1, **(manifest or {}), "versions": software_versions(), **checked}
+    head = {"format": "bumpymap-check", "version": 1, **(manifest or {}), "versions": software_versions(), **checked}
     found = check_entries(result)
     writers: dict[str, Callable[[Path], None]] = {
         "check.html": partial(write_check_page, result, ground if placement is not None else None)

@@ -59,6 +59,8 @@ def _row(route: "Route") -> tuple[str, ...]:
     from bumpymap.core import chance_text
 
     found = route.figures
+    minutes, seconds = divmod(round(found.seconds), 60)
+    hours, minutes = divmod(minutes, 60)
     return (
         route.name,
         f"{found.length_m:,.0f}",
@@ -70,7 +72,7 @@ def _row(route: "Route") -> tuple[str, ...]:
         chance_text(found.p_arrives),
         f"{found.unknown_m:,.0f}",
         f"{found.climb_m:.0f}/{found.descent_m:.0f}",
-        _time(found.seconds),
+        f"{hours}:{minutes:02}:{seconds:02} h" if hours else f"{minutes}:{seconds:02} min",
     )
 
 
@@ -92,12 +94,6 @@ def _remarks(route: "Route") -> Iterator[str]:
         yield route.straight.words
     rest = "and failures on different metres are independent; errors of neighbouring tiles go together"
     yield f"arrives: {found.seen.condition} {rest}. {found.seen.sentence}".rstrip()
-
-
-def _time(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02} h" if hours else f"{minutes}:{rest:02} min"
 
 
 def _record(result: "RouteResult", config: RouteConfig) -> dict[str, Any]:

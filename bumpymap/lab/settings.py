@@ -4,6 +4,7 @@ import math
 import platform
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -157,6 +158,10 @@ class LoopSettings:
     def __post_init__(self) -> None:
         check_settings(self)
 
+    def as_options(self, *names: str) -> str:
+        """Return the options of a command line that gives some of the settings."""
+        return " ".join(f"--set {name}={attrgetter(name)(self)}".removesuffix(".0") for name in names)
+
 
 @dataclass(frozen=True, slots=True)
 class NetworkSettings:
@@ -193,15 +198,8 @@ class TrainSettings(LoopSettings):
     @property
     def command(self) -> str:
         """The command line of this training, without ``--out``."""
-        rare = {
-            "seed": self.seed,
-            "epochs": self.epochs,
-            "patches_per_texture": self.patches_per_texture,
-            "network.pixels": self.network.pixels,
-            "tile_size": f"{self.tile_size:g}",
-            "threads": self.threads,
-        }
-        return "bumpymap train textures " + " ".join(f"--set {key}={value}" for key, value in rare.items())
+        names = ("seed", "epochs", "patches_per_texture", "network.pixels", "tile_size", "threads")
+        return f"bumpymap train textures {self.as_options(*names)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,9 +232,3 @@ class ScanTrainSettings(LoopSettings):
     smoothing: float = 0.05
     """Label smoothing: share of each label that is spread over the other classes; labels at margins are uncertain."""
     network: ScanNetSettings = field(default_factory=ScanNetSettings)
-
-    @property
-    def options(self) -> str:
-        """The options of the command that repeats this training."""
-        names = ("seed", "epochs", "sectors_per_class", "threads")
-        return " ".join(f"--set {name}={getattr(self, name)}" for name in names)

@@ -54,11 +54,6 @@ from .colours import (
     on_islands as on_islands,
     reach_colours as reach_colours,
 )
-from .complete_run import (
-    is_complete as is_complete,
-    refuse_replacing as refuse_replacing,
-    verified_record as verified_record,
-)
 from .folder import write_products as write_products
 from .geotiff import (
     box_sum as box_sum,
@@ -103,7 +98,6 @@ from .placement import (
 )
 from .products import (
     CHECK_FILES as CHECK_FILES,
-    CHECK_FORMAT as CHECK_FORMAT,
     EVERY_VIEW_NAME as EVERY_VIEW_NAME,
     OTHER_FILES as OTHER_FILES,
     PRODUCT_NAMES as PRODUCT_NAMES,
@@ -111,8 +105,11 @@ from .products import (
     MapFile as MapFile,
     OutputFolder as OutputFolder,
     check_folder as check_folder,
+    is_complete as is_complete,
     refuse_present as refuse_present,
+    refuse_replacing as refuse_replacing,
     require_folder as require_folder,
+    verified_record as verified_record,
 )
 from .regions import (
     label as label,

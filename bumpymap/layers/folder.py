@@ -145,19 +145,14 @@ def _layers(table: CostTable, coordinates: GeoJsonCoordinates, folder: Path, met
                 write_geojson(regions)
                 write_flatgeobuf(regions)
 
+    some = zip(SOME_NAMES, (table.tiles.has("headings"), shows_photo(table)), strict=True)
     return {
         **rasters(MapFile.HEIGHTMAP, MapFile.CLASS),
         (MapFile.TILES,): partial(write_tiles, table, folder / MapFile.TILES, tags),
-        **rasters(*_some(table), MapFile.OBSTACLE, MapFile.ROUGHNESS),
+        **rasters(*(name for name, there in some if there), MapFile.OBSTACLE, MapFile.ROUGHNESS),
         (MapFile.REGIONS, MapFile.REGIONS_IN_CRS): write_regions,
         **rasters(MapFile.PASSAGE, MapFile.REASON, MapFile.RELIEF, MapFile.COST, MapFile.SPEED, MapFile.BARRED),
     }
-
-
-def _some(table: CostTable) -> list[MapFile]:
-    """Return the rasters of the run besides those of every run."""
-    held = (table.tiles.has("headings"), shows_photo(table))
-    return [name for name, there in zip(SOME_NAMES, held, strict=True) if there]
 
 
 @contextmanager

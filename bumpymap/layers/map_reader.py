@@ -227,15 +227,18 @@ class MapReader:
         if part is None:
             return out
         scales = whole.shape[1] / window.rows, whole.shape[2] / window.cols
-        sides = zip(_slices(window, part), scales, strict=True)
-        rows, cols = (slice(round(at.start * scale), round(at.stop * scale)) for at, scale in sides)
+        first = window.row + window.rows - part.row - part.rows, part.col - window.col
+        sides = zip(first, (part.rows, part.cols), scales, strict=True)
+        rows, cols = (slice(round(at * scale), round((at + size) * scale)) for at, size, scale in sides)
         inside = whole[:, rows, cols]
         if not inside.size:
             return out
         own, scale = self.window, self.grid.pixels if name in _PER_PIXEL else 1
         top, left = (own.row + own.rows - part.row - part.rows) * scale, (part.col - own.col) * scale
         place = ((top, top + part.rows * scale), (left, left + part.cols * scale))
-        self._require_whole(name)
+        for each in self.manifest["files"]:
+            if each["path"] == name and name in _rasters(self.manifest) and int(each["bytes"]) > CHECKED_BYTES:
+                _compare(self.folder, name, int(each["bytes"]), str(each["sha256"]))
         with self.rasters.opened(self.folder / name) as file:
             if name == MapFile.PHOTO:
                 inside[:] = read_colours(file, inside.shape[1:], place)
@@ -246,12 +249,6 @@ class MapReader:
             how = Resampling.average if out.dtype == np.float32 else Resampling.nearest
             file.read(numbers, window=place, out=inside, resampling=how)
         return out
-
-    def _require_whole(self, name: MapFile) -> None:
-        """Raise BadInputError if a raster whose checksum was not compared when the map was opened is damaged."""
-        written = {str(file["path"]): file for file in self.manifest["files"]}
-        if name in _rasters(self.manifest) and int(written[name]["bytes"]) > CHECKED_BYTES:
-            _compare(self.folder, name, int(written[name]["bytes"]), str(written[name]["sha256"]))
 
     def to_grid(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
         """Convert coordinates of the CRS to easting and northing on the grid, m."""
@@ -410,10 +407,3 @@ def _corner_gradient(planes: NDArray[np.float64], counts: NDArray[np.bool_]) -> 
     nw, ne, sw, se = (mean[down : rows + down, right : cols + right] for down, right in ends)
     own = np.nan_to_num(planes[1:])
     return np.where(counts, 0.5 * np.stack([sw + se - nw - ne, ne + se - nw - sw]), own).transpose(1, 2, 0)
-
-
-def _slices(window: TileWindow, part: TileWindow) -> tuple[slice, slice]:
-    """Return where a part of a window lies in its arrays."""
-    top = window.row + window.rows - part.row - part.rows
-    left = part.col - window.col
-    return slice(top, top + part.rows), slice(left, left + part.cols)

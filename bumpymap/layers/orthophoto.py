@@ -1,8 +1,8 @@
 """An orthophoto on the pixels of a map: opened and checked before the points are read, and warped window by window."""
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +15,9 @@ from bumpymap.core import (
     CostTable,
     Georeference,
     Orthophoto,
-    closed_gdal,
-    gdal_text,
-    open_tiff,
     raster_statement,
 )
+from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import Bounds
 
@@ -31,22 +29,12 @@ _COLOURS = (1, 2, 3)
 """Bands of red, green and blue."""
 _FINEST_M = 0.002
 """Smallest pixel, m: of a finer one more than 10,000 are averaged for a pixel of a map."""
-_CACHE = 64 << 20
-"""Decoded blocks that GDAL keeps, bytes."""
 _SAMPLE = 32
 """Rows and columns of a sample that tells the highest number."""
 _REMEDY = "Export the orthophoto as a GeoTIFF with red, green and blue of 8 or 16 bits"
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator["DatasetReader"]:
-    from rasterio.errors import RasterioError
-
-    try:
-        with closed_gdal(GDAL_CACHEMAX=_CACHE), open_tiff(path, _REMEDY) as file:
-            yield file
-    except (UnicodeDecodeError, RasterioError) as error:
-        raise BadInputError(f"cannot read {path}: {gdal_text(error)}. {_REMEDY}") from error
+_opened = partial(open_layer, remedy=_REMEDY, GDAL_CACHEMAX=64 << 20)
 
 
 def _warped(file: "DatasetReader", path: Path, crs: CRS | None, **place: Any) -> Any:

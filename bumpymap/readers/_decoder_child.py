@@ -11,20 +11,6 @@ from collections.abc import Sequence
 from typing import Any
 
 
-def _fields(*, colour: bool) -> Any:
-    """Return the fields to decode of point formats 6 to 10; earlier formats are always decoded completely."""
-    import lazrs
-
-    return lazrs.DecompressionSelection(
-        lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL
-        | lazrs.SELECTIVE_DECOMPRESS_Z
-        | lazrs.SELECTIVE_DECOMPRESS_CLASSIFICATION
-        | lazrs.SELECTIVE_DECOMPRESS_FLAGS
-        | lazrs.SELECTIVE_DECOMPRESS_POINT_SOURCE_ID
-        | (lazrs.SELECTIVE_DECOMPRESS_RGB if colour else 0)
-    )
-
-
 def check_record(record: bytes) -> None:
     """Raise an exception if lazrs cannot decode data with this LASzip record."""
     import lazrs
@@ -45,4 +31,13 @@ def decode_chunks(record: bytes, table: Sequence[tuple[int, int]], colour: bool,
     """Decode adjacent LAZ chunks on all cores; ``table`` is as from `read_chunk_table`."""
     import lazrs
 
-    lazrs.decompress_points_with_chunk_table(data, record, out, list(table), _fields(colour=colour))
+    # Of point formats 6 to 10; earlier formats are always decoded completely.
+    fields = lazrs.DecompressionSelection(
+        lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL
+        | lazrs.SELECTIVE_DECOMPRESS_Z
+        | lazrs.SELECTIVE_DECOMPRESS_CLASSIFICATION
+        | lazrs.SELECTIVE_DECOMPRESS_FLAGS
+        | lazrs.SELECTIVE_DECOMPRESS_POINT_SOURCE_ID
+        | (lazrs.SELECTIVE_DECOMPRESS_RGB if colour else 0)
+    )
+    lazrs.decompress_points_with_chunk_table(data, record, out, list(table), fields)

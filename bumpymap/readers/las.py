@@ -246,8 +246,10 @@ class LasSurvey(SurveyReader):
             self._raw = raw = read_raw_header(stream, path)
             statement = statement_of_las(raw)
             _refuse_numbers(path, raw)
-            middle = None if options.trust_points else _middle(raw)
-            place, notes = georeference(Place(path, middle), statement, options.given_crs, options.z_unit)
+            x, y, z = (first / 2 + last / 2 for first, last in zip(raw.mins, raw.maxs, strict=True))
+            has_middle = not options.trust_points and np.isfinite([x, y, z]).all()
+            middle = Place(path, (x, y, z) if has_middle else None)
+            place, notes = georeference(middle, statement, options.given_crs, options.z_unit)
             bounds = None if options.trust_points else _bounds(path, raw, place)
             self._table: ChunkTable | None = None
             if raw.compressed:
@@ -375,11 +377,6 @@ def _refuse_numbers(path: Location, raw: RawHeader) -> None:
             f"the header of {path} gives the scale of x, y and z as {shown[0]} and the offset as {shown[1]}; scales "
             "must be other than 0, and coordinates finite. The file is damaged; export it again"
         )
-
-
-def _middle(raw: RawHeader) -> tuple[float, float, float] | None:
-    x, y, z = (first / 2 + last / 2 for first, last in zip(raw.mins, raw.maxs, strict=True))
-    return (x, y, z) if np.isfinite([x, y, z]).all() else None
 
 
 def _bounds(path: Location, raw: RawHeader, place: Georeference) -> Bounds:

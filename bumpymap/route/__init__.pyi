@@ -2,6 +2,7 @@ from .ground import points_along as points_along
 from .line_ride import (
     LineRide as LineRide,
     LineVehicle as LineVehicle,
+    line_vehicle as line_vehicle,
     ride_along as ride_along,
     ride_line as ride_line,
 )

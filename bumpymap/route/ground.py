@@ -63,11 +63,6 @@ class CostGround:
     """Obstacles may be touched, at a hundred times the cost."""
 
     @property
-    def closes_more(self) -> bool:
-        """True if tiles are closed that the map has open: by areas, or because little would have shown there."""
-        return self.avoid is not None or self.only is not None or self.settings.seen_width is not None
-
-    @property
     def risk_m(self) -> float:
         """Weight of the hazard by the settings, m."""
         if self.settings.risk is None:
@@ -219,7 +214,8 @@ class CostGround:
         reach = self.site.vehicle.reach_m / self.site.grid.pixel_size
         if crosses_unknown:
             free &= _apart(np.isin(self.site.objects(window), (OBSTACLE, STEP_LINE)), reach)
-        if crosses_unknown or self.closes_more:
+        closes_more = any(each is not None for each in (self.avoid, self.only, self.settings.seen_width))
+        if crosses_unknown or closes_more:
             free &= _apart(closed, min(reach, self.margin * self.site.grid.pixels) + 0.5)
         return free
 

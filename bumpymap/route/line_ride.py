@@ -248,19 +248,26 @@ def ride_along(
         return ride_line(site, on_grid, vehicle, across)
 
 
-def with_line_ride(ground: CostGround, way: MeasuredWay, calibration: Path | None) -> tuple[MeasuredWay, list[str]]:
-    """Add the ride of a way's own line to its figures and profile; return remarks too.
+def line_vehicle(site: MapReader, calibration: Path | None, *, motion: bool = True) -> tuple[LineVehicle | None, str]:
+    """Return what rolls along lines of a map; if that cannot be, why. With a file that was given, errors are raised.
 
-    ``calibration``: the file that the map was made with; None: an included one.
+    ``calibration``: the file that the map was made with; None: an included one; ``motion`` as of `LineVehicle.of`.
     """
-    site = ground.site
     try:
         made = map_calibration(site.manifest, site.grid.tile_size, calibration)
-        vehicle = LineVehicle.of(site, made)
+        return LineVehicle.of(site, made, motion=motion), ""
     except (BadInputError, UsageError) as error:
         if calibration is not None:
             raise
-        return way, [f"the ride of the line itself is not known: {error}"]
+        return None, str(error)
+
+
+def with_line_ride(ground: CostGround, way: MeasuredWay, calibration: Path | None) -> tuple[MeasuredWay, list[str]]:
+    """Add the ride of a way's own line to its figures and profile; return remarks too; see `line_vehicle`."""
+    site = ground.site
+    vehicle, why = line_vehicle(site, calibration)
+    if vehicle is None:
+        return way, [f"the ride of the line itself is not known: {why}"]
     if way.figures.length_m <= 0.0:
         return way, []
     found = ride_line(site, way.line, vehicle, _SIGMA_M)

@@ -73,6 +73,8 @@ def measure_way(ground: CostGround, line: Floats, stops: Floats) -> MeasuredWay:
             clear = ground.clear_at(np.column_stack([profile.easting, profile.northing]))
             profile = replace(profile, obstacle=~clear)
     length, climb = float(pieces["length"].sum()), _climb(profile, ground.site.grid.tile_size)
+    shares = (_WORST, 1.0 - _WORST, 1.0 - _WORST)
+    seen = (_quantile(pieces[name], pieces["length"], part) for name, part in zip(SEEN_COLUMNS, shares, strict=True))
     figures = RouteFigures(
         length_m=length,
         straight_m=float(np.hypot(*np.diff(stops, axis=0).T).sum()),
@@ -86,7 +88,7 @@ def measure_way(ground: CostGround, line: Floats, stops: Floats) -> MeasuredWay:
         climb_m=climb[0],
         descent_m=climb[1],
         seconds=float((pieces["length"] * pieces["slow"]).sum()),
-        seen=_seen_sizes(pieces),
+        seen=SeenSizes(*seen),
     )
     return MeasuredWay(line, figures, profile)
 
@@ -150,14 +152,6 @@ def _ride(pieces: _Pieces) -> dict[str, Any]:
         found[f"{kind}_mean{end}"] = float(mean)
         found[f"{kind}_max{end}"] = float(pieces[name][worst]) if known.any() else math.nan
     return found
-
-
-def _seen_sizes(pieces: _Pieces) -> SeenSizes:
-    """Return what the survey would have shown on all but the worst twentieth of a way."""
-    shares = (_WORST, 1.0 - _WORST, 1.0 - _WORST)
-    return SeenSizes(
-        *(_quantile(pieces[name], pieces["length"], share) for name, share in zip(SEEN_COLUMNS, shares, strict=True))
-    )
 
 
 def _quantile(values: NDArray[np.floating], weights: Floats, share: float) -> float:

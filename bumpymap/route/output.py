@@ -79,7 +79,7 @@ def check_out(out: Path, kinds: Mapping[str, str], *, overwrite: bool) -> str | 
 
 
 def write_route(
-    route: Route, source: MapReader, out: Path, *, manifest: Mapping[str, Any], overwrite: bool = False
+    route: Route, source: MapReader, out: Path, manifest: Mapping[str, Any], *, overwrite: bool = False
 ) -> list[Path]:
     """Write route.geojson, route.gpx, profile.csv, route.json and a project of QGIS to a folder.
 
@@ -116,9 +116,9 @@ def write_reach_files(
     reach: ReachField,
     source: MapReader,
     out: Path,
+    manifest: Mapping[str, Any],
     *,
     levels: Sequence[float] = (),
-    manifest: Mapping[str, Any],
     overwrite: bool = False,
 ) -> list[Path]:
     """Write reach.tif, isochrones.geojson (with levels), route.json and a project of QGIS to a folder.

@@ -19,6 +19,7 @@ from scipy.sparse import csgraph
 from bumpymap.core import Floats, axis_values, slope_cost
 from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.places import on_grid, overlap
+from bumpymap.route.search import sum_along
 from bumpymap.route.straighten import as_cost
 from bumpytiles import TileWindow
 
@@ -142,7 +143,8 @@ def reach_over_areas(
     tiles = graph.tile[nearest]
     is_cheaper = spent[nearest] + _CORNER_TILES * per_tile[nearest] < _CHEAPER * cost_of_tile[tiles]
     nearest, tiles = nearest[is_cheaper], tiles[is_cheaper]
-    cost_of_tile[tiles], time_of_tile[tiles] = spent[nearest], _sum_along(before, hop)[nearest]
+    cost_of_tile[tiles] = spent[nearest]
+    time_of_tile[tiles] = sum_along(np.append(before, len(hop)), np.append(hop, 0.0))[nearest]
     has_room = np.zeros(cost.size, np.bool_)
     has_room[graph.tile] = True
     return has_room.reshape(cost.shape)
@@ -152,14 +154,6 @@ def _least_of_each(group: NDArray[np.int64], value: NDArray[np.generic]) -> NDAr
     """Return the place of the least value of each group; groups are numbers from 0."""
     order = np.lexsort((value, group))
     return order[np.diff(group[order], prepend=-1) > 0]
-
-
-def _sum_along(before: NDArray[np.integer], value: Floats) -> Floats:
-    """Add the values of all nodes before each one, (n,), to its own; the first of a path has ``before`` n."""
-    total, ahead = np.append(value, 0.0), np.append(before, len(value))
-    while (ahead < len(value)).any():  # each pass doubles how many are added
-        total, ahead = total + total[ahead], ahead[ahead]
-    return total[:-1]
 
 
 def _graph(ground: CostGround, window: TileWindow) -> AreaGraph:

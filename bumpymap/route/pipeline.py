@@ -202,7 +202,11 @@ def map_reach(
     checked = _settings(settings, "map_reach", ReachSettings.__annotations__)
     checked |= settings_of_call({"isochrones": None if minutes is None else [minutes]}, RouteConfig, "map_reach")
     config = RouteConfig(layers=Path(path_of_call("layers", layers)), start=_text("start", start), **checked)
-    return reach_dataset(reach_from(config))
+    with _opened(config) as ground:
+        found = _reach(ground, find_stops(ground, config), config)
+    for note in found.notes:
+        _log.warning(note)
+    return reach_dataset(found)
 
 
 def _settings(settings: Mapping[str, Any], function: str, known: Collection[str]) -> dict[str, Any]:
@@ -254,20 +258,25 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
     with _opened(config) as ground:
         stops = find_stops(ground, config)
         if config.out is not None:
-            from bumpymap.route.output import REACH_KINDS, ROUTE_KINDS, check_out, write_route  # slow to load
+            from bumpymap.route.output import REACH_KINDS, ROUTE_KINDS, check_out, write_reach_files, write_route
 
             check_out(config.out, REACH_KINDS if config.is_reach else ROUTE_KINDS, overwrite=config.overwrite)
         if config.is_reach:
             if config.out is None:
                 raise UsageError("the map of what can be reached is written to a folder: add `out='DIR'`")
-            return _write_reach(ground, stops, config, config.out)
+            found = _reach(ground, stops, config)
+            notes = [*stops.notes, *found.notes]
+            manifest = {"settings": asdict(config), "start": stops.points[0], "remarks": notes}
+            levels, again = config.isochrones, config.overwrite
+            files = write_reach_files(found, ground.site, config.out, manifest, levels=levels, overwrite=again)
+            return RouteResult(None, found, tuple(files), tuple(notes))
         progress.start("route", None)
         route, remarks = _route(ground, stops, config)
         notes = [*stops.notes, *remarks]
-        files: list[Path] = []
+        files = []
         if config.out is not None:
             manifest = {"settings": asdict(config), "remarks": notes}
-            files = write_route(route, ground.site, config.out, manifest=manifest, overwrite=config.overwrite)
+            files = write_route(route, ground.site, config.out, manifest, overwrite=config.overwrite)
     return RouteResult(route, None, tuple(files), tuple(notes))
 
 
@@ -339,34 +348,9 @@ def _in_best_order(planner: Planner, stops: Stops, config: RouteConfig) -> Stops
     return stops.in_order(order[: len(points)])
 
 
-def reach_from(config: RouteConfig) -> "Reach":
-    """Map what can be reached from the start, and write nothing. For errors see `plan_routes`."""
-    with _opened(config) as ground:
-        found = _reach(ground, find_stops(ground, config), config)
-    for note in found.notes:
-        _log.warning(note)
-    return found
-
-
 def _reach(ground: CostGround, stops: Stops, config: RouteConfig) -> "Reach":
     """Return what can be reached from the start, within the largest outline."""
     from bumpymap.route.reach import find_reach
 
     most = 60.0 * ground.site.rule.top_mps * max(config.isochrones, default=math.inf)
     return find_reach(ground, stops.points[0], most)
-
-
-def _write_reach(ground: CostGround, stops: Stops, config: RouteConfig, out: Path) -> RouteResult:
-    from bumpymap.route.output import write_reach_files
-
-    found = _reach(ground, stops, config)
-    notes = (*stops.notes, *found.notes)
-    files = write_reach_files(
-        found,
-        ground.site,
-        out,
-        levels=config.isochrones,
-        manifest={"settings": asdict(config), "start": stops.points[0], "remarks": notes},
-        overwrite=config.overwrite,
-    )
-    return RouteResult(None, found, tuple(files), notes)

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CLOSED_IN_PART, Barred, UsageError, loops
+from bumpymap.core import CLOSED_IN_PART, Barred, Floats, UsageError
 from bumpymap.layers import Placement, ReachField
 from bumpymap.route.ground import CostGround
 from bumpymap.route.places import place_in_window, window_within
-from bumpymap.route.search import FROM_START, MOVES, spread, traced_moves
+from bumpymap.route.search import FROM_START, MoveTables, Point, move_tables, spread, sum_along
 from bumpymap.route.straighten import as_cost, line_cost
 
 _STRIP = 64
@@ -55,6 +55,24 @@ class Reach(ReachField):
         return float(np.nanmax(self.cost)) if self.tiles else 0.0
 
 
+def _times(back: NDArray[np.uint8], slow: NDArray[np.float32], start: Point, moves: MoveTables) -> Floats:
+    """Return the time of the way to each tile, (rows, cols), that of a metre times tiles; 0 where there is none.
+
+    ``back`` as of `spread`; ``slow`` (rows, cols): time of a metre; ``start``: field coordinates.
+    """
+    of_move, per_metre = back.ravel(), slow.ravel()
+    own, before = np.zeros(back.size + 1), np.full(back.size + 1, back.size, np.int32)
+    for row, col in np.argwhere(back == FROM_START).tolist():
+        own[row * back.shape[1] + col] = line_cost(slow[..., None], np.array([start, (row + 0.5, col + 0.5)]))
+    for k, step in enumerate(moves.step.tolist()):
+        to, inner = np.flatnonzero(of_move == k), slice(*moves.first_piece[k : k + 2])
+        before[to] = to - step
+        tiles, lengths = [0, step, *moves.piece[inner]], [*moves.end[[k, k]], *moves.piece_length[inner]]
+        for tile, length in zip(tiles, lengths, strict=True):
+            own[to] += length * per_metre[to - step + tile].astype(np.float64)
+    return sum_along(before, own)[:-1].reshape(back.shape)
+
+
 def find_reach(ground: CostGround, start: NDArray[np.float64], most_m: float = math.inf) -> Reach:
     """Find what can be reached from a point: over whole tiles, and between obstacles in tiles that they close in part.
 
@@ -80,10 +98,7 @@ def find_reach(ground: CostGround, start: NDArray[np.float64], most_m: float = m
         tiles = site.read(part, ("c_r",))
         slow[top : top + part.rows] = ground.slowness(tiles)
         in_part |= bool(np.isin(tiles.barred, _IN_PART).any())
-    time = np.full(spent.shape, -1.0)
-    for row, col in np.argwhere(back == FROM_START).tolist():
-        time[row, col] = line_cost(slow[..., None], np.array([place, (row + 0.5, col + 0.5)]))
-    loops.add_up_times(back, MOVES, *traced_moves(ground.margin), slow, time)
+    time = _times(back, slow, place, move_tables(window.cols, ground.margin))
     notes: tuple[str, ...] = ()
     if in_part:
         from bumpymap.route.passages import BYTES_PER_TILE, reach_over_areas  # with SciPy's graphs, slow to load

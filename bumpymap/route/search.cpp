@@ -1,5 +1,4 @@
-// The cheapest ways over a window, from tile to tile: A* with a heap of four children a node, in which a tile stands
-// once and moves up when a cheaper way to it is found. The window is flattened row by row and has a ring of closed
+// The cheapest ways over a window, from tile to tile: A*. The window is flattened row by row and has a ring of closed
 // tiles as wide as the longest move, so that no move has to look where the window ends. Moves are many and most come
 // too near to a closed tile, or lead to tiles that are settled or have been reached for less than the move costs at
 // least: all that is asked before the integral over its tiles. Closed tiles around the start of a move are the bits of
@@ -7,6 +6,8 @@
 // same numbers.
 #include <nanobind/stl/pair.h>
 
+#include <functional>
+#include <queue>
 #include <utility>
 #include <vector>
 
@@ -17,9 +18,6 @@ namespace {
 
 // In place of a move: straight from the start.
 constexpr std::uint8_t from_start = 254;
-// In place of a place in the heap: not met so far; its cost is final.
-constexpr std::int32_t not_met = -1;
-constexpr std::int32_t settled = -2;
 // Tiles that a move goes at most, along each axis.
 constexpr Index reach = 4;
 
@@ -64,69 +62,6 @@ struct Ground {
     }
 };
 
-// Tiles by what a way over them costs at least, the cheapest first; `place` says where in the heap each of them is.
-class Heap {
-  public:
-    explicit Heap(Array<std::int32_t> place) : place_(place) {}
-
-    bool empty() const { return tile_.empty(); }
-    double least() const { return key_.front(); }
-
-    Index pop() {
-        const Index top = tile_.front();
-        const std::int32_t tile = tile_.back();
-        const double key = key_.back();
-        tile_.pop_back();
-        key_.pop_back();
-        if (!tile_.empty()) sink(tile, key);
-        return top;
-    }
-
-    // Adds a tile, or moves it up.
-    void offer(Index tile, double key) {
-        std::size_t i = static_cast<std::size_t>(place_[tile]);
-        if (place_[tile] == not_met) {
-            i = tile_.size();
-            tile_.push_back(0);
-            key_.push_back(0.0);
-        }
-        while (i > 0 && key_[(i - 1) / children] > key) {
-            put((i - 1) / children, i);
-            i = (i - 1) / children;
-        }
-        set(i, static_cast<std::int32_t>(tile), key);
-    }
-
-  private:
-    static constexpr std::size_t children = 4;
-
-    void set(std::size_t i, std::int32_t tile, double key) {
-        key_[i] = key;
-        tile_[i] = tile;
-        place_[tile] = static_cast<std::int32_t>(i);
-    }
-
-    void put(std::size_t from, std::size_t to) { set(to, tile_[from], key_[from]); }
-
-    void sink(std::int32_t tile, double key) {
-        std::size_t i = 0;
-        while (i * children + 1 < tile_.size()) {
-            const std::size_t child = i * children + 1, end = std::min(child + children, tile_.size());
-            std::size_t least = child;
-            for (std::size_t other = child + 1; other < end; ++other)
-                if (key_[other] < key_[least]) least = other;
-            if (key_[least] >= key) break;
-            put(least, i);
-            i = least;
-        }
-        set(i, tile, key);
-    }
-
-    Array<std::int32_t> place_;
-    std::vector<std::int32_t> tile_;
-    std::vector<double> key_;
-};
-
 struct Search {
     const Ground& ground;
     const MoveTables& moves;
@@ -134,9 +69,12 @@ struct Search {
     double best;
     const Array<double> g;
     const Array<std::uint8_t> back;
-    const Array<std::int32_t> place;
-    Heap heap{place};
+    const Array<bool> settled;
     Index last = -1;
+
+    // Tiles by what a way over them costs at least, the cheapest first; a tile stands there once for each cheaper way.
+    using Waiting = std::pair<double, std::int32_t>;
+    std::priority_queue<Waiting, std::vector<Waiting>, std::greater<>> waiting{};
 
     // The cost of an open tile in the direction of a move.
     double cost_of(Index k, Index tile) const {
@@ -167,7 +105,7 @@ struct Search {
         if (key >= best) return;
         g[tile] = cost;
         back[tile] = move;
-        heap.offer(tile, key);
+        waiting.emplace(key, static_cast<std::int32_t>(tile));
     }
 
     // Sees whether the goal is reached for less by going straight there from a tile.
@@ -190,15 +128,17 @@ struct Search {
             for (Index j = 0; j < enter.shape[1]; ++j)
                 if (enter(i, j) < infinite)
                     offer(ground.start + (i - half) * ground.width() + j - half, enter(i, j), from_start);
-        while (!heap.empty() && heap.least() < best) {
-            const Index tile = heap.pop();
-            place[tile] = settled;
+        while (!waiting.empty() && waiting.top().first < best) {
+            const Index tile = waiting.top().second;
+            waiting.pop();
+            if (settled[tile]) continue;
+            settled[tile] = true;
             try_exit(tile);
             const Index north = ground.closed_around(tile, -reach, 1);
             const Index south = ground.closed_around(tile, 1, reach + 1);
             for (Index k = 0; k < moves.step.size(); ++k) {
                 const Index to = tile + moves.step[k];
-                if ((north & moves.near_north[k]) || (south & moves.near_south[k]) || place[to] == settled) continue;
+                if ((north & moves.near_north[k]) || (south & moves.near_south[k]) || settled[to]) continue;
                 const double total = g[tile] + move_cost(k, tile, g[to] - g[tile]);
                 if (total < g[to]) offer(to, total, static_cast<std::uint8_t>(k));
             }
@@ -206,14 +146,14 @@ struct Search {
     }
 };
 
-// Fills what is reached: costs from the start, the moves that led there and, not to look at, places in the heap.
+// Fills what is reached: costs from the start, the moves that led there, and whether these are final.
 // Returns the tile from which the way goes straight to the goal, -1 if the known way is the best, and the cost. `enter`
 // and `leave` (m, m): costs straight from the start to the tiles around it, and from those around the goal to it;
 // `best`: that of a way that is known.
 std::pair<Index, double> search_ways(
     Ground ground, MoveTables moves, Array<const double, 2> enter, Array<const double, 2> leave, double best,
-    Array<double> g, Array<std::uint8_t> back, Array<std::int32_t> place) {
-    Search search{ground, moves, enter, leave, best, g, back, place};
+    Array<double> g, Array<std::uint8_t> back, Array<bool> settled) {
+    Search search{ground, moves, enter, leave, best, g, back, settled};
     search.run();
     return {search.last, search.best};
 }

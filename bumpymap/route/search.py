@@ -36,7 +36,6 @@ from bumpymap.route.straighten import (
     as_costs,
     is_clear,
     line_cost,
-    off_borders,
     pull_tight,
     thin_out,
     trace,
@@ -49,8 +48,6 @@ FROM_START = 254
 """In place of a move: straight from the start."""
 NOT_REACHED = 255
 """In place of a move: no way leads there."""
-NEW, SETTLED = -1, -2
-"""In place of a place in the heap: not met so far; its cost is final."""
 REACH = 4
 """Tiles that a move goes at most, along each axis."""
 MOVES: NDArray[np.int64] = np.array(
@@ -228,9 +225,9 @@ _NEARLY = 1.0 - 1e-9
 """Of the steepest gradient that is driven across, in a search: the line may be rounded when it is pulled tight."""
 
 
-_Reached = tuple[Floats, NDArray[np.uint8], NDArray[np.int32]]
+_Reached = tuple[Floats, NDArray[np.uint8], NDArray[np.bool_]]
 """(n,) cost from the start of each tile of a flattened window with its ring, infinite if it is not reached; the move
-that led there, `FROM_START` or `NOT_REACHED`; its place in the heap, `NEW` or `SETTLED`."""
+that led there, `FROM_START` or `NOT_REACHED`; whether its cost is final."""
 
 
 def _search(
@@ -276,7 +273,7 @@ def _search(
     end = (0.0, 0.0) if goal is None else (goal[0] + REACH, goal[1] + REACH)
     first = (math.floor(start[0]) + REACH) * width + math.floor(start[1]) + REACH
     ground = Ground(ringed, closed, first, *end, least, min(least if least < math.inf else 1.0, bound))
-    reached = np.full(count, math.inf), np.full(count, NOT_REACHED, np.uint8), np.full(count, NEW, np.int32)
+    reached = np.full(count, math.inf), np.full(count, NOT_REACHED, np.uint8), np.zeros(count, np.bool_)
     moves = move_tables(width, margin, tiles.shape[2])
     found = loops.search_ways(ground, moves, enter, leave, known, *reached)
     return reached, found, lambda values: values.reshape(rows, width)[inner]
@@ -324,7 +321,6 @@ def tight_way(found: Found, margin: float, least_saving: float = LEAST_SAVING) -
         raise ValueError("no way has been found")
     near, corner = _cut_out(found.ground, found.line)
     line = thin_out(near, pull_tight(near, found.line - corner, wide_margin(margin)), margin, least_saving)
-    line = off_borders(near, line, margin)
     return found.frame.turn_line_back(line + corner)
 
 
@@ -367,8 +363,8 @@ def seek(
     ground = frame.turn_costs(cost)
     line = frame.turn_line(np.array([start, goal]))
     first, last = ((float(r), float(c)) for r, c in line)
-    (_, back, place), (exit_tile, best), inner = _search(ground, first, last, margin, bound)
-    settled = frame.turn_back(inner(place) == SETTLED)
+    (_, back, settled), (exit_tile, best), inner = _search(ground, first, last, margin, bound)
+    settled = frame.turn_back(inner(settled))
     if not best < math.inf:
         return Found(None, settled, frame, ground)
     if exit_tile >= 0:
@@ -388,9 +384,19 @@ def spread(
     cols): `FROM_START` if straight from the start, `NOT_REACHED` if there is no way (none leads anywhere from a closed
     tile).
     """
-    (g, back, place), _, inner = _search(as_costs(cost), settle_point(start), None, margin, 0.0)
-    del place  # before copies are made
+    (g, back, _), _, inner = _search(as_costs(cost), settle_point(start), None, margin, 0.0)
     return np.ascontiguousarray(inner(g)), np.ascontiguousarray(inner(back))
+
+
+def sum_along(before: NDArray[np.integer], value: Floats) -> Floats:
+    """Add the values of all nodes before each one, (n + 1,), to its own, in place.
+
+    The first of a path has ``before`` n: the last is no node, has the value 0, and comes before itself.
+    """
+    while (before < len(value) - 1).any():  # each pass doubles how many are added
+        value += value[before]
+        before = before[before]
+    return value
 
 
 def follow_back(back: NDArray[np.uint8], row: int, col: int) -> Floats:

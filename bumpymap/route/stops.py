@@ -12,7 +12,6 @@ from bumpymap.layers import MapReader, read_points
 from bumpymap.route.ground import CostGround
 from bumpymap.route.places import GridPoint, parse_point, place_in_window, place_point, window_within
 from bumpymap.route.settings import RouteConfig
-from bumpytiles import TileWindow
 
 _ALWAYS_M = 1.0
 """Distance up to which a point is moved to where the vehicle fits without being asked, m (chosen)."""
@@ -50,18 +49,6 @@ def _closed_by(field: TileField, row: float, col: float, seen_width: float | Non
     if code in CROSSING_UNKNOWN:
         return f"{BARRED_TEXT[Barred(code)]}; `unknown=COST` lets a way cross unknown ground at that cost per metre"
     return f"a tile that is not passable ({BARRED_TEXT[Barred(code)]})"
-
-
-def _remedy(route_map: MapReader, point: GridPoint, near: GridPoint | None, window: TileWindow) -> str:
-    """Say where the nearest usable point is and how to take it."""
-    if near is None:
-        width, height = (side * route_map.grid.tile_size for side in (window.cols, window.rows))
-        return f"No tile in the {width:,.0f} m x {height:,.0f} m around it can be used: choose another point"
-    distance = math.dist(point, near)
-    return (
-        f"The nearest point that can be used is {distance:.1f} m away, at {place_text(route_map, near)}: give that "
-        f"one, or `snap={math.ceil(distance)}` to take it"
-    )
 
 
 def place_text(route_map: MapReader, point: "GridPoint | NDArray[np.float64]") -> str:
@@ -141,7 +128,8 @@ def usable_point(ground: CostGround, name: str, point: GridPoint, snap_m: float)
         if is_nearest or reach >= farthest or window == site.window or too_many:
             break
         reach = min(2 * reach, farthest)
-    near = None
+    width, height = (side * size for side in (window.cols, window.rows))
+    remedy = f"No tile in the {width:,.0f} m x {height:,.0f} m around it can be used: choose another point"
     if found is not None:
         south, east, apart = found
         if apart == 0.0:
@@ -151,5 +139,10 @@ def usable_point(ground: CostGround, name: str, point: GridPoint, snap_m: float)
         )
         if apart * grid.pixel_size <= max(snap_m, _ALWAYS_M):
             return near
+        distance = math.dist(point, near)
+        remedy = (
+            f"The nearest point that can be used is {distance:.1f} m away, at {place_text(site, near)}: give that one, "
+            f"or `snap={math.ceil(distance)}` to take it"
+        )
     why = _closed_by(site.read(window, ground.bands), row / cells, col / cells, ground.settings.seen_width)
-    raise BadInputError(f"{name} lies on {why}. {_remedy(site, point, near, window)}")
+    raise BadInputError(f"{name} lies on {why}. {remedy}")

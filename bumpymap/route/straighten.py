@@ -173,27 +173,19 @@ def pull_tight(cost: NDArray[np.floating] | Costs, line: Floats, margin: float =
     return best if total <= given else line
 
 
-def thin_out(
-    cost: NDArray[np.floating] | Costs, line: Floats, margin: float = 0.0, least_saving: float = LEAST_SAVING
-) -> Floats:
-    """Leave out corners of a tight line that hardly save anything: of an arc round a corner a few are left.
+def thin_out(cost: Costs, line: Floats, margin: float, least_saving: float) -> Floats:
+    """Leave out corners of a tight line that hardly save anything; move those on borders of tiles to the cheaper side.
+
+    Of an arc round a corner a few are left. A line along a border costs what the dearer side does: there, the last bit
+    of a coordinate would decide.
 
     ``cost``, ``line``: as `pull_tight`; the line keeps more than the margin, or the arcs stay as they are; ``margin``:
     tiles, at least 0 and below 0.5; ``least_saving``: what a corner saves at least, tiles.
     """
-    return _leave_out(as_costs(cost), as_margin(margin) + _SPARE, least_saving, line)
-
-
-def off_borders(cost: NDArray[np.floating] | Costs, line: Floats, margin: float = 0.0) -> Floats:
-    """Move the corners of a line that lie on borders of tiles to the cheaper side.
-
-    A line along a border costs what the dearer side does: there, the last bit of a coordinate would decide.
-
-    ``cost``, ``line``, ``margin``: as `pull_tight`.
-    """
-    moved = np.array(line, np.float64, order="C")
-    loops.leave_borders(as_costs(cost), moved, _ON_BORDER, _OFF_BORDER)
-    return moved if is_clear(cost, moved, margin) and line_cost(cost, moved) < math.inf else line
+    thin = _leave_out(cost, as_margin(margin) + _SPARE, least_saving, line)
+    moved = thin.copy()
+    loops.leave_borders(cost, moved, _ON_BORDER, _OFF_BORDER)
+    return moved if is_clear(cost, moved, margin) else thin
 
 
 def _leave_out(cost: Costs, margin: float, worth: float, line: Floats) -> Floats:

@@ -29,8 +29,8 @@ _ROBOT = ((0, -15), (10, 12), (0, 7), (-10, 12))
 """Corners of the robot's symbol, an arrow head, pixels right and down from the sensor."""
 _TEXT_PX, _SMALL_PX = 21, 17
 """Font sizes of names and of all other text, pixels."""
-_SWATCH_PX = 34
-"""Side of a colour in the legend, pixels."""
+_SWATCH_PX, _MOST_NAME = 34, 24
+"""Side of a colour in the legend, pixels; most characters of the name above it."""
 
 Picture = NDArray[np.uint8]
 
@@ -145,7 +145,8 @@ def _draw_legend(draw: ImageDraw.ImageDraw, scan: Scan, classed: ClassedSectors,
     ]
     left, row = SIDE + 16, 24
     text = left + _SWATCH_PX + 14
-    draw.text((left, row), _shortened(scan.name, 24), _INK, _font(_TEXT_PX), "lm")
+    name = scan.name if len(scan.name) <= _MOST_NAME else f"{scan.name[: _MOST_NAME - 3]}..."
+    draw.text((left, row), name, _INK, _font(_TEXT_PX), "lm")
     row += 36
     for colour, (name, count) in zip(SCAN_COLOURS.tolist(), entries, strict=True):
         draw.rectangle((left, row, left + _SWATCH_PX, row + _SWATCH_PX), tuple(colour))
@@ -172,8 +173,3 @@ def _font(size: int) -> ImageFont.FreeTypeFont:
     if not isinstance(found, ImageFont.FreeTypeFont):
         raise TypeError("this Pillow was built without FreeType")
     return found.font_variant(layout_engine=ImageFont.Layout.BASIC)
-
-
-def _shortened(name: str, most: int) -> str:
-    """Return a name, cut to at most ``most`` characters."""
-    return name if len(name) <= most else f"{name[: most - 3]}..."

@@ -12,8 +12,7 @@ import pytest
 from rich.console import Console
 from small_surveys import run, write_survey
 
-from bumpymap.cli import _progress
-from bumpymap.cli._exit_code import exit_code_of
+from bumpymap.cli import _progress, exit_code_of
 from bumpymap.cli._text import print_error, print_json, print_line, print_table
 from bumpymap.core import escape_controls
 from bumpymap.core.errors import BadInputError

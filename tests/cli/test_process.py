@@ -21,8 +21,7 @@ from packaging.requirements import Requirement
 from route_maps import write_folder
 from small_surveys import run, write_survey
 
-from bumpymap.cli import main
-from bumpymap.cli._exit_code import exit_code_of
+from bumpymap.cli import exit_code_of, main
 from bumpymap.core.errors import OutputError, missing_resource
 from bumpytiles import Grid
 

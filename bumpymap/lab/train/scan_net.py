@@ -329,7 +329,8 @@ def make_scan_model(
         others = folder_sectors(unseen, progress=scan_progress)
         net = train(settings, sectors, checkpoint, progress)
         evaluation = evaluate(net, others, len(unseen))
-        command = f"bumpymap train scans RELLIS_FOLDER {settings.options}"
+        options = settings.as_options("seed", "epochs", "sectors_per_class", "threads")
+        command = f"bumpymap train scans RELLIS_FOLDER {options}"
         write_model(out, to_onnx(net, metadata_of(settings, evaluation, command)), checkpoint)
     return evaluation
 

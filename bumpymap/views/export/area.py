@@ -53,15 +53,6 @@ SLOWEST = 1
 """Least speed limit, percent. Not 0: the speed filter reads that as no limit."""
 
 
-def speed_values(field: TileField) -> NDArray[np.uint8]:
-    """Return a speed mask, one cell a tile: the speed made good in percent of the top speed.
-
-    Returns uint8 (rows, cols): 1..100, rounded down. 1 where c_r is unknown, and where even that is too fast.
-    """
-    percent = np.floor(100.0 / (field.rule.top_mps * field.rule.slowness(field.c_r)) + 1e-9)
-    return np.asarray(np.clip(np.nan_to_num(percent, nan=SLOWEST), SLOWEST, 100), np.uint8)
-
-
 def by_pixel(values: NDArray[_Value], pixels: int) -> NDArray[_Value]:
     """Give every pixel the value of its tile: (rows, cols) -> (rows * pixels, cols * pixels)."""
     return np.asarray(np.repeat(np.repeat(values, pixels, axis=0), pixels, axis=1))
@@ -371,7 +362,10 @@ def _images(area: ExportArea, most: float) -> tuple[dict[str, NDArray[np.uint8]]
         is_free = states == FREE_CELL
         cost[lines] = np.where(is_free, by_pixel(values.astype(np.uint8), area.split), states)
         keepout[lines] = np.where(is_free, np.uint8(FREE_CELL), np.uint8(LETHAL))
-        speed[lines] = by_pixel(speed_values(field), area.split)
+        # In percent of the top speed, rounded down; the least where c_r is unknown, and where even that is too fast.
+        percent = np.floor(100.0 / (field.rule.top_mps * field.rule.slowness(field.c_r)) + 1e-9)
+        percent = np.clip(np.nan_to_num(percent, nan=SLOWEST), SLOWEST, 100)
+        speed[lines] = by_pixel(percent.astype(np.uint8), area.split)
         used = is_free.reshape(window.rows, area.split, window.cols, area.split).any(axis=(1, 3))
         highest = max(highest, float(np.nanmax(of_tile[used], initial=1.0)))
     return {"map": cost, "keepout_mask": keepout, "speed_mask": speed}, highest

@@ -88,6 +88,9 @@ def make_plan(route_map: MapReader, line: NDArray[np.float64]) -> dict[str, Any]
             "Give the layers that the route was planned on"
         )
     places, speed = line[:, ::-1].tolist(), route_map.vehicle.speed_mps
+    (col, *_), (row, *_) = (route_map.grid.index(axis).tolist() for axis in (easting, northing))
+    heights = route_map.heights(TileWindow(col, row, 1, 1))
+    ground = round(float(np.nanmean(heights)), 2) if np.isfinite(heights).any() else 0.0  # of the first tile; 0 unknown
     return {
         "fileType": "Plan",
         "version": 1,
@@ -101,17 +104,10 @@ def make_plan(route_map: MapReader, line: NDArray[np.float64]) -> dict[str, Any]
             "cruiseSpeed": speed,
             "hoverSpeed": speed,
             "globalPlanAltitudeMode": 1,
-            "plannedHomePosition": [*places[0], _ground(route_map, float(easting[0]), float(northing[0]))],
+            "plannedHomePosition": [*places[0], ground],
             "items": [_item(number, *place) for number, place in enumerate(places, start=1)],
         },
     }
-
-
-def _ground(route_map: MapReader, easting: float, northing: float) -> float:
-    """Return the mean height of the tile at a place, m; 0 if unknown."""
-    (col,), (row,) = (route_map.grid.index(np.array([value])).tolist() for value in (easting, northing))
-    heights = route_map.heights(TileWindow(col, row, 1, 1))
-    return round(float(np.nanmean(heights)), 2) if np.isfinite(heights).any() else 0.0
 
 
 def _item(number: int, latitude: float, longitude: float) -> dict[str, Any]:

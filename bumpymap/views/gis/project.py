@@ -620,7 +620,9 @@ def _print(box: tuple[float, ...], metres: float) -> dict[str, Any]:
     frame = np.minimum(1000 * sides / scale + 2 * _AROUND_MM, most)
     half = (frame * scale / 2000 / metres).tolist()
     x, y = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
-    segment = _bar_length(_BAR_MM * scale / 1000)
+    most_bar = _BAR_MM * scale / 1000
+    power = 10.0 ** math.floor(math.log10(most_bar))
+    segment = next(step * power for step in (10, 5, 2, 1) if step * power <= most_bar * (1 + 1e-9))
     return {
         **_sides((x - half[0], y - half[1], x + half[0], y + half[1]), 0.0),
         "page": page,
@@ -631,12 +633,6 @@ def _print(box: tuple[float, ...], metres: float) -> dict[str, Any]:
         "segment_mm": 1000 * segment / scale,
         "arrow": base64.b64encode(_ARROW.encode()).decode(),
     }
-
-
-def _bar_length(most: float) -> float:
-    """Return the largest of 1, 2 and 5 times a power of ten that is not above ``most``."""
-    power = 10.0 ** math.floor(math.log10(most))
-    return next(step for step in (10 * power, 5 * power, 2 * power, power) if step <= most * (1 + 1e-9))
 
 
 def _notes(record: Mapping[str, Any]) -> list[str]:

@@ -287,15 +287,7 @@ class PageTiles:
         objects = np.select(
             [ground == NO_POINTS, share > 0, share == 0], [NO_CLASS, OBSTACLE, FREE], UNKNOWN_OBJECT
         ).astype(np.uint8)
-        return cls(
-            spot,
-            ground,
-            barred,
-            objects,
-            **numbers,
-            free=free,
-            islands=islands,
-        )
+        return cls(spot, ground, barred, objects, **numbers, free=free, islands=islands)
 
 
 def _place(found: Mapping[str, NDArray[Any]], spot: Spot) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
