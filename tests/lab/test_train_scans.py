@@ -8,7 +8,7 @@ from made_frames import POINTS, ring_of_ground, write_rellis
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.core.scan_types import PolarSettings, Scan
+from bumpymap.core.scan_types import Scan
 from bumpymap.lab import LABEL_SETS
 from bumpymap.lab.settings import ScanTrainSettings
 from bumpymap.scan.learned import CHANNELS, MEASURES, infer
@@ -56,17 +56,6 @@ def test_crowns_over_the_ground_are_bushes_and_trunks_are_not():
     assert (found.label[:8000] == 3).all()
     assert (found.label[8000:][up < 1] == 4).mean() > 0.99
     assert (found.label[8000:][up > 3] == 19).mean() > 0.99
-
-
-def test_turned_cuts_see_the_same_ground_in_other_sectors():
-    scan = _ring(3, 0.05)
-    once = scan_net.labelled_sectors(scan)
-    thrice = scan_net.labelled_sectors(scan, [(0.1, PolarSettings()), (1.0, PolarSettings())])
-    assert len(thrice.class_id) == 3 * len(once.class_id)
-    assert_array_equal(thrice.patches[: len(once.class_id)], once.patches)
-    others = thrice.patches[len(once.class_id) :]
-    assert not any((patch == others[0]).all() for patch in once.patches)
-    assert_allclose(thrice.measures.mean(axis=0), once.measures.mean(axis=0), atol=0.02)
 
 
 def test_a_folder_of_the_data_set_is_found_and_split_by_time(folder):

@@ -143,24 +143,6 @@ def test_a_tenth_of_the_points_must_have_a_colour(points, whole, tmp_path, share
     assert [name for name in layers if found[name] != whole["auto"][0][name]] == []
 
 
-def test_only_what_names_the_survey_tells_deliveries_apart(points, tmp_path):
-    """The tests above set name, checksum and dates of the survey alike."""
-    halves = [write(tmp_path / "two" / f"{n}.laz", points[n::2], CORNER) for n in range(2)]
-    one = write(tmp_path / "one.laz", points, CORNER)
-    texts = {}
-    for name, files in {"two": halves, "one": [one]}.items():
-        out = tmp_path / f"{name} layers"
-        run("map", *files, "--out", out, code=0)
-        survey = json.loads((out / "run.json").read_text())["survey"]
-        assert survey["name"] == name
-        text = (out / "cost.geojson").read_text()
-        for value in (survey["name"], survey["checksum"]):
-            assert f'"{value}"' in text
-            text = text.replace(f'"{value}"', '""', 1)
-        texts[name] = text
-    assert texts["one"] == texts["two"]
-
-
 # ---- wherever it lies ----
 
 

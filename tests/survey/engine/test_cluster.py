@@ -279,6 +279,14 @@ def make_deadly(monkeypatch, mark, *, always=False):
 
 
 @pytest.mark.later
+def test_workers_filter_the_ground_as_this_process_does(surveys, tmp_path, scheduler):
+    pytest.importorskip("CSF")
+    run("map", surveys, "--out", tmp_path / "one", "--ground", "csf", code=0)
+    map_on(scheduler, surveys, tmp_path / "many", "--ground", "csf", code=0)
+    assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
+
+
+@pytest.mark.later
 @pytest.mark.parametrize("least", [10_000, 10**7])
 def test_a_worker_killed_in_the_middle_changes_no_bit(surveys, plain, tmp_path, scheduler, monkeypatch, least):
     """In one task, blocks are finished while the files are read; in parts, all of them later."""
