@@ -82,28 +82,6 @@ def test_folders_without_frames_or_labels_are_refused(folder, tmp_path):
         scan_net.folder_sectors([lonely])
 
 
-def test_an_epoch_is_balanced_mirrored_and_repeats_itself():
-    class_id = np.repeat(np.arange(3), [50, 7, 20])
-    number = np.arange(len(class_id))
-    made = np.zeros((len(class_id), CHANNELS, 15, 15), np.float32)
-    made[:, 0, 0, 0] = number
-    numbered = np.tile(number[:, None], len(MEASURES)).astype("f4")
-    sectors = scan_net.Sectors(made.copy(), numbered, class_id)
-    patches, measures, drawn = scan_net.draw_epoch(sectors, 20, np.random.default_rng(1))
-    assert np.bincount(drawn).tolist() == [20, 20, 20]
-    who = measures[:, MEASURES.index("distance")].astype(int)
-    often = np.bincount(who, minlength=77)
-    assert often[:50].max() == 1  # enough of them: none twice
-    assert set(often[50:57]) == {2, 3}
-    assert (often[57:] == 1).all()
-    plain, mirrored = patches[:, 0, 0, 0] == who, patches[:, 0, 0, -1] == who
-    assert (plain | mirrored).all()
-    assert 10 < mirrored.sum() < 50
-    again = scan_net.draw_epoch(sectors, 20, np.random.default_rng(1))
-    assert all(map(np.array_equal, again, (patches, measures, drawn)))
-    assert_array_equal(sectors.patches, made)
-
-
 def _sectors(seed, each=60):
     """Three kinds of relief: level, waves, walls."""
     rng = np.random.default_rng(seed)

@@ -22,16 +22,6 @@ pytestmark = pytest.mark.slow
 SMALL = TrainSettings(epochs=2, patches_per_texture=16, batch=32)
 
 
-def test_epochs_shuffle_and_survey_anew_but_repeatably():
-    training = textures.shapes(1, 0, 40, 15)
-    first, again, second = (textures.epoch_samples(training, 1, epoch) for epoch in (0, 0, 1))
-    assert_array_equal(first[0], again[0])
-    assert_array_equal(first[1], again[1])
-    assert len(first[2]) == 176, "four forms and short waves"
-    assert (np.diff(first[2]) < 0).any()
-    assert np.abs(first[0] - second[0]).mean() > 0.05
-
-
 def test_unseen_patches_share_none_with_training():
     training, unseen = textures.shapes(1, 0, 60, 15), textures.shapes(1, 2, 60, 15)
     flat = np.concatenate([training, unseen]).reshape(480, -1)

@@ -87,14 +87,6 @@ def test_islands_are_faint_and_nothing_else_is(ground, monkeypatch):
     np.testing.assert_array_equal(pixels[~faint], whole[~faint])
 
 
-def test_reading_strip_by_strip_paints_the_same(ground, monkeypatch):
-    whole, _ = look(ground)
-    monkeypatch.setattr(space, "STRIP_TILES", 300)
-    pieces, _ = look(ground)
-    assert len(ground.windows) > 6
-    np.testing.assert_array_equal(whole, pieces)
-
-
 def paint(scan, classed, range_m=40.0):
     return np.asarray(paint_image(scan, classed, range_m))
 
