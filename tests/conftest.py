@@ -77,6 +77,15 @@ def shared_data():
     return SHARED
 
 
+@pytest.fixture(scope="module")
+def without_views():
+    """Maps of a module are made without pages, styles and projects, which take more time than their layers."""
+    from small_surveys import no_views
+
+    with no_views():
+        yield
+
+
 def measure_points(x, y, z, flag=None, *, grid=None, settings=None, ground_only=False):
     """PatchStack of loose points."""
     from patch_stacks import joined_in_order

@@ -16,6 +16,8 @@ from bumpymap.patches import close_filter, cloth, mark_ground, require_filter
 from bumpymap.survey import Budget
 from bumpytiles import Grid
 
+pytestmark = pytest.mark.usefixtures("without_views")
+
 needs_filter = pytest.mark.skipif(importlib.util.find_spec("CSF") is None, reason="no cloth-simulation-filter")
 CORNER = np.array([480_000.0, 4_000_032.0, 300.0])
 """Of a block."""

@@ -38,6 +38,8 @@ from bumpymap.survey.second_pass import NeighbourRating, finish_tiles
 from bumpymap.survey.tile_rating import RatingModels, TileRating
 from bumpytiles import BLOCK_TILES, Grid, TileBuckets, TileTable
 
+pytestmark = pytest.mark.usefixtures("without_views")
+
 TILES = 8
 SIDE = 3.0 * TILES
 WEST, SOUTH = 600_000.0, 4_000_002.0

@@ -34,7 +34,7 @@ from bumpymap.survey.engine.cluster import (
 from bumpymap.survey.engine.reading import ChunkRange, ReadTask
 from bumpytiles import ClusterError, Grid
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("without_views")]
 
 ROOT = Path(__file__).resolve().parents[3]
 SURVEY, PAGE = ROOT / "sample_data" / "quarry_part.ply", ROOT / "docs" / "pages" / "big-sites.md"
