@@ -19,7 +19,10 @@ from bumpymap.views.light import grey_of, hard_light, levelled
 from bumpymap.views.scan_picture import SIDE, paint as paint_image, write_picture
 from bumpymap.views.space import painted
 
-pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning"),
+    pytest.mark.usefixtures("without_views"),
+]
 
 
 @pytest.fixture
