@@ -2,7 +2,6 @@ import os
 import signal
 import subprocess
 import sys
-from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -78,6 +77,15 @@ def shared_data():
     return SHARED
 
 
+@pytest.fixture(scope="module")
+def without_views():
+    """Maps of a module are made without pages, styles and projects, which take more time than their layers."""
+    from small_surveys import no_views
+
+    with no_views():
+        yield
+
+
 def measure_points(x, y, z, flag=None, *, grid=None, settings=None, ground_only=False):
     """PatchStack of loose points."""
     from patch_stacks import joined_in_order
@@ -92,33 +100,6 @@ def measure_points(x, y, z, flag=None, *, grid=None, settings=None, ground_only=
 @pytest.fixture(name="measure_points", scope="session")
 def measure_points_fixture():
     return measure_points
-
-
-CLUSTER = """
-import sys
-from distributed import LocalCluster
-
-options = dict(n_workers=2, threads_per_worker=1, dashboard_address=":0", memory_limit=0, silence_logs=50)
-with LocalCluster(**options) as cluster:
-    print(cluster.scheduler_address, flush=True)
-    sys.stdin.read()
-"""
-
-
-@pytest.fixture(scope="session")
-def dask_scheduler():
-    """Address of a dask cluster of two processes; in a process of its own, for its threads would count as memory."""
-    pytest.importorskip("distributed")
-    paths = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    command = [sys.executable, "-c", CLUSTER]
-    with subprocess.Popen(command, env=paths, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        address = process.stdout.readline().strip()
-        assert address, "the cluster has not started"
-        yield address
-        process.stdin.close()
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(30)
-        process.kill()
 
 
 @pytest.fixture(scope="session")

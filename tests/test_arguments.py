@@ -14,6 +14,8 @@ from bumpymap.route.pipeline import RouteSettings
 from bumpymap.scan.classifier import ClassifierSettings
 from bumpymap.survey import MapSettings
 
+pytestmark = pytest.mark.usefixtures("without_views")
+
 ROOT = Path(__file__).resolve().parents[1]
 QUARRY = ROOT / "sample_data" / "quarry.laz"
 GROUND = np.rec.fromarrays(np.random.default_rng(0).uniform(0, 30, (3, 5000)) * [[1], [1], [0.01]], names="x,y,z")

@@ -23,7 +23,7 @@ from bumpymap.core import install_command
 from bumpymap.core.types import BANDS
 from bumpymap.views import check_headline
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("without_views")]
 
 ROOT = Path(__file__).resolve().parents[1]
 QUARRY = ROOT / "sample_data" / "quarry.laz"

@@ -24,6 +24,8 @@ from bumpymap.change.pipeline import CHANGE_FILES, connect
 from bumpymap.core import BadInputError, Georeference, interval_log_sd
 from bumpytiles import Grid
 
+pytestmark = pytest.mark.usefixtures("without_views")
+
 LAGS = [(0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0)]
 CHANCES = st.lists(st.one_of(st.floats(0.0, 1.0), st.just(float("nan"))), min_size=0, max_size=40)
 

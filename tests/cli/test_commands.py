@@ -39,7 +39,7 @@ def made(tmp_path_factory):
     wall = np.where(site().patches.col == WEST + 15, 60.0, 2.0)  # without a gap
     sites["closed"] = replace(site(), patches=replace(site().patches, slope=wall))
     for name, layers in (sites | {"june": survey(2, rut=0.1, c_r=3.0)}).items():
-        write_folder(root / name, layers)
+        write_folder(root / name, layers, views=name == "field")
     write_ply(root / "frame.ply", np.rec.fromarrays(scanned().astype("<f4").T, names="x,y,z"))
     # In float32, a UTM northing has steps of half a metre.
     coarse = np.random.default_rng(2).uniform(0.1, 5.9, (3, 900)) + np.array([[500_001], [5_400_000], [0]])

@@ -22,6 +22,8 @@ from bumpymap.lab.simulate.motion_fit import MotionRecord
 from bumpymap.lab.terrains import KINDS
 from bumpymap.rating import Calibration, Vehicle
 
+pytestmark = pytest.mark.usefixtures("without_views")
+
 WARTHOG = Calibration.shipped("warthog")
 
 

@@ -31,6 +31,8 @@ from bumpymap.core.crs import place_notes, utm_epsg
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.types import Georeference
 
+pytestmark = pytest.mark.usefixtures("without_views")
+
 US_FOOT = 1200 / 3937
 HERE = Place(Path("site.laz"), (500000.0, 4000000.0, 100.0))
 SILENT = CrsStatement()

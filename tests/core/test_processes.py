@@ -73,25 +73,6 @@ def test_signals_are_for_the_parent(child, number):
     assert child.call("getpid") == child.process.pid
 
 
-DAEMON = """
-import multiprocessing, operator, os
-from bumpymap.lab.simulate.jobs import run_in_processes
-
-def work():
-    os._exit(sum(made for _, made in run_in_processes(operator.neg, [-1, -2], 2)))
-
-process = multiprocessing.get_context("fork").Process(target=work, daemon=True)
-process.start()
-process.join()
-print(process.exitcode)
-"""
-
-
-def test_a_daemonic_process_may_have_children():
-    """As the workers of Dask are."""
-    assert said_by(DAEMON).stdout == "3\n"
-
-
 # --- signals ---
 BEGIN = """
 import os, signal, sys, weakref

@@ -240,7 +240,7 @@ def blocks(page, language="python"):
 
 @pytest.fixture(scope="module")
 def made_map(tmp_path_factory, cost_map):
-    return write_folder(tmp_path_factory.mktemp("docs") / "OUT", cost_map).parent
+    return write_folder(tmp_path_factory.mktemp("docs") / "OUT", cost_map, views=True).parent
 
 
 @pytest.fixture(scope="module")

@@ -1,10 +1,9 @@
 """Fuzz the readers: damaged surveys in, nothing out but points or one message.
 
 ``python tests/fuzz/fuzz_readers.py --minutes 60 --seed 1`` damages valid surveys and prints what became of them;
-``--inputs 3000`` ends after so many. What the readers cannot deal with is made small and kept in ``seeds/``. The same
-seed gives the same inputs, as far as it gets in the time. Each input has one verdict, of a process of its own under
-limits of memory and time. The damage is a list of edits, which can be shortened one by one: that is how a finding
-becomes small.
+``--inputs 3000`` ends after so many. What the readers cannot deal with is kept in ``seeds/``. The same seed gives the
+same inputs, as far as it gets in the time. Each input has one verdict, of a process of its own under limits of memory
+and time.
 """
 
 import argparse
@@ -149,10 +148,7 @@ def answer(path: Path) -> tuple[str, str, str]:
     return astuple(verdict)
 
 
-# ---- damage: a valid survey and a list of edits, each "these bytes instead of those" ----
-
-Edit = tuple[int, int, bytes]
-"""Start, end and what stands there instead; each edit counts places in what the edits before it left."""
+# ---- damage: some edits of a valid survey, each a start, an end and the bytes that stand there instead ----
 
 _INTEGERS = (0, 1, 2, 7, 100, *(2**bits - below for bits in (15, 16, 31, 32, 40, 62, 63, 64) for below in (1, 0)))
 _REALS = (0.0, -0.0, 1.0, -1.0, float("nan"), float("inf"), -float("inf"), 1e300, -1e300, 1e-300, 4e9, -4e9, 1e16)
@@ -177,22 +173,14 @@ def starts():
         yield Start(name, data, fields)
 
 
-def applied(data: bytes, edits) -> bytes:
-    """Make the edits, in order; what lies behind the end is left out."""
-    for start, end, new in edits:
-        data = data[:start] + new + data[end:]
-    return data
-
-
-def mutated(start: Start, others: list[Start], rng: np.random.Generator) -> list[Edit]:
-    """Return one to four edits."""
-    edits, data = [], start.data
+def mutated(start: Start, others: list[Start], rng: np.random.Generator) -> bytes:
+    """Make one to four edits, each of what the edits before it left."""
+    data = start.data
     for _ in range(int(rng.integers(1, 5))):
         of_field = start.fields and rng.random() < 0.55
-        edit = _field_edit(data, start, rng) if of_field else _block_edit(data, others, rng)
-        data = applied(data, [edit])
-        edits.append(edit)
-    return edits
+        first, end, new = _field_edit(data, start, rng) if of_field else _block_edit(data, others, rng)
+        data = data[:first] + new + data[end:]
+    return data
 
 
 def _field_edit(data, start, rng):
@@ -234,21 +222,6 @@ def _chosen(choices, rng):
 # ---- fuzzing ----
 
 
-def keep(judge, start, edits, verdict):
-    """Leave edits out as long as the fault stays, and write the input into the folder of seeds; return its name."""
-    # In a new process: what earlier inputs left in memory may have had its part.
-    judge.close()
-    for index in reversed(range(len(edits))):
-        fewer = edits[:index] + edits[index + 1 :]
-        if judge.verdict(start.name, applied(start.data, fewer)).key == verdict.key:
-            edits = fewer
-    data = applied(start.data, edits)
-    stem, _, suffix = start.name.partition(".")
-    name = f"{verdict.kind}-{stem}-{hashlib.sha256(data).hexdigest()[:8]}.{suffix}"
-    (SEEDS / name).write_bytes(data)
-    return name
-
-
 def fuzz(judge, minutes, inputs, seed):
     """Judge so many inputs or minutes at most; return the verdicts by survey, and the seed of each fault."""
     surveys, counts, faults = [*starts()], Counter(), {}
@@ -256,12 +229,15 @@ def fuzz(judge, minutes, inputs, seed):
     while time.monotonic() - began < 60 * minutes and made < inputs:
         rng = np.random.default_rng([seed, made])
         start = surveys[int(rng.integers(len(surveys)))]
-        edits = mutated(start, surveys, rng)
+        data = mutated(start, surveys, rng)
         made += 1
-        verdict = judge.verdict(start.name, applied(start.data, edits))
+        verdict = judge.verdict(start.name, data)
         counts[f"{start.name} {verdict.kind}"] += 1
         if verdict.is_fault and verdict.key not in faults:
-            faults[verdict.key] = [keep(judge, start, edits, verdict), verdict.detail[-1500:]]
+            stem, _, suffix = start.name.partition(".")
+            name = f"{verdict.kind}-{stem}-{hashlib.sha256(data).hexdigest()[:8]}.{suffix}"
+            (SEEDS / name).write_bytes(data)
+            faults[verdict.key] = [name, verdict.detail[-1500:]]
     return {"inputs": made, "verdicts": dict(sorted(counts.items())), "faults": faults}
 
 

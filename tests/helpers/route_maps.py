@@ -35,11 +35,11 @@ RULE = CostRule(
 UTM = CRS.from_epsg(32614)
 
 
-def write_folder(folder, cost_map, **changes):
-    """Write the layers of a map to a folder; ``changes`` replace entries of the manifest."""
+def write_folder(folder, cost_map, *, views=False, **changes):
+    """Write the layers of a map to a folder, and its page and styles if asked; ``changes`` of the manifest."""
     folder.mkdir()
-    local = cost_map.georeference.crs is None
-    write_products(table_of(cost_map), folder, views=write_map_views, local=local, manifest=RUN | changes)
+    local, shown = cost_map.georeference.crs is None, write_map_views if views else lambda *_: None
+    write_products(table_of(cost_map), folder, views=shown, local=local, manifest=RUN | changes)
     return folder
 
 

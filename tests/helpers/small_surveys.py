@@ -100,6 +100,14 @@ def write_bomb(path):
     return path
 
 
+@contextmanager
+def no_views():
+    """Maps made in this process meanwhile have layers alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bumpymap.views.write_map_views", lambda *_: None)
+        yield
+
+
 ALIKE = {"name": "survey", "checksum": "blake3:0", "dates": None}
 
 

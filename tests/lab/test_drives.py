@@ -23,7 +23,6 @@ from bumpymap.rating.vehicle_profile import Vehicle
 SIZE = 3.0
 HEIGHTS = np.random.default_rng(5).normal(0, 0.2, (15, 15)) + 7.0
 WARTHOG = Vehicle.load("warthog")
-SHORT = DriveSettings(settle_s=0.5, ramp_s=0.5, cruise_s=0.0, measure_s=1.0)
 
 
 def pixel_centres(pixels=15):

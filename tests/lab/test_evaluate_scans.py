@@ -114,13 +114,6 @@ def test_a_sector_without_ground_is_rough_to_a_method_and_one_without_a_label_is
     assert found.even == pytest.approx((1 / 2 + 1 / 2 + 1) / 3)
 
 
-def test_rows_hold_medians_and_means_of_each_class():
-    smooth, middle, rough = scans.class_rows(TABLE, "filter")
-    assert (smooth["sectors"], middle["sectors"], rough["sectors"]) == (2, 1, 3)
-    assert smooth["share"] == pytest.approx(1 / 3)
-    assert (rough["variance"], rough["stripes"], middle["residual"]) == ((7.0, 11.0), (1.0, 1.5), (0.25, 0.25))
-
-
 KITTI = LABEL_SETS["kitti"]
 ROAD, FENCE, NONE, OTHER = 9, 14, 0, 77
 

@@ -1,7 +1,9 @@
-"""The paper's tables beside ours: what tests/tools/tables.py prints of the sample survey and of made-up frames."""
+"""The paper's tables beside ours, and drives over a survey held against its map: what scripts of tests/tools print."""
 
+import json
 import re
 import runpy
+import subprocess
 import sys
 from pathlib import Path
 
@@ -11,7 +13,7 @@ from made_frames import churned_field, write_bin
 
 import bumpymap
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("without_views")]
 
 ROOT = Path(__file__).resolve().parents[2]
 QUARRY = ROOT / "sample_data" / "quarry.laz"
@@ -53,3 +55,16 @@ def test_tables_are_those_of_the_rules_and_the_papers_stand_beside_them(tmp_path
     assert sectors["filter"] == sectors["learned"] > 100
     assert "are not on record" in text
     assert "RELLIS-3D, which this project does not have" in text
+
+
+@pytest.mark.later
+def test_patches_of_a_survey_are_driven_and_compared(tmp_path):
+    pytest.importorskip("dartpy")
+    out, survey = tmp_path / "report.json", ROOT / "sample_data" / "quarry_part.ply"
+    words = [ROOT / "tests" / "tools" / "driven.py", survey, "--patches", 4, "--drives", 2, "--out", out]
+    said = subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True, check=True).stdout
+    assert "| `ride` |" in said
+    assert "4 patches, " in said
+    patches = json.loads(out.read_text())["patches"]
+    assert len(patches["driven"]["c_r"]) == len(patches["verdicts"]["ride"]["c_r"]) == 4
+    assert min(patches["driven"]["c_r"]) > 0

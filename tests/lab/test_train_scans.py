@@ -8,7 +8,7 @@ from made_frames import POINTS, ring_of_ground, write_rellis
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.core.scan_types import PolarSettings, Scan
+from bumpymap.core.scan_types import Scan
 from bumpymap.lab import LABEL_SETS
 from bumpymap.lab.settings import ScanTrainSettings
 from bumpymap.scan.learned import CHANNELS, MEASURES, infer
@@ -58,17 +58,6 @@ def test_crowns_over_the_ground_are_bushes_and_trunks_are_not():
     assert (found.label[8000:][up > 3] == 19).mean() > 0.99
 
 
-def test_turned_cuts_see_the_same_ground_in_other_sectors():
-    scan = _ring(3, 0.05)
-    once = scan_net.labelled_sectors(scan)
-    thrice = scan_net.labelled_sectors(scan, [(0.1, PolarSettings()), (1.0, PolarSettings())])
-    assert len(thrice.class_id) == 3 * len(once.class_id)
-    assert_array_equal(thrice.patches[: len(once.class_id)], once.patches)
-    others = thrice.patches[len(once.class_id) :]
-    assert not any((patch == others[0]).all() for patch in once.patches)
-    assert_allclose(thrice.measures.mean(axis=0), once.measures.mean(axis=0), atol=0.02)
-
-
 def test_a_folder_of_the_data_set_is_found_and_split_by_time(folder):
     learn, unseen = scan_net.folder_frames(folder)
     assert [path.stem for path in learn] == ["000000", "000001", "000002", "000003", "000004", "000000"]
@@ -91,28 +80,6 @@ def test_folders_without_frames_or_labels_are_refused(folder, tmp_path):
     np.full(len(np.fromfile(source, "<f4")) // 4, 7, "<u4").tofile(tmp_path / "000000.label")
     with pytest.raises(BadInputError, match="ids of RELLIS-3D"):
         scan_net.folder_sectors([lonely])
-
-
-def test_an_epoch_is_balanced_mirrored_and_repeats_itself():
-    class_id = np.repeat(np.arange(3), [50, 7, 20])
-    number = np.arange(len(class_id))
-    made = np.zeros((len(class_id), CHANNELS, 15, 15), np.float32)
-    made[:, 0, 0, 0] = number
-    numbered = np.tile(number[:, None], len(MEASURES)).astype("f4")
-    sectors = scan_net.Sectors(made.copy(), numbered, class_id)
-    patches, measures, drawn = scan_net.draw_epoch(sectors, 20, np.random.default_rng(1))
-    assert np.bincount(drawn).tolist() == [20, 20, 20]
-    who = measures[:, MEASURES.index("distance")].astype(int)
-    often = np.bincount(who, minlength=77)
-    assert often[:50].max() == 1  # enough of them: none twice
-    assert set(often[50:57]) == {2, 3}
-    assert (often[57:] == 1).all()
-    plain, mirrored = patches[:, 0, 0, 0] == who, patches[:, 0, 0, -1] == who
-    assert (plain | mirrored).all()
-    assert 10 < mirrored.sum() < 50
-    again = scan_net.draw_epoch(sectors, 20, np.random.default_rng(1))
-    assert all(map(np.array_equal, again, (patches, measures, drawn)))
-    assert_array_equal(sectors.patches, made)
 
 
 def _sectors(seed, each=60):

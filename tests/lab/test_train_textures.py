@@ -6,12 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy import ndimage
 from small_surveys import run
 
-from bumpymap.core import loops
 from bumpymap.lab.settings import NetworkSettings, TrainSettings
-from bumpymap.lab.terrains import make_textures
 from bumpymap.lab.train import textures
 from bumpymap.rating.textures import TextureModel, infer
 
@@ -23,38 +20,6 @@ from bumpymap.lab.train.textures import SurveyEffects, labels_of, score, surveye
 
 pytestmark = pytest.mark.slow
 SMALL = TrainSettings(epochs=2, patches_per_texture=16, batch=32)
-
-
-@pytest.fixture
-def patches():
-    return make_textures("low_noise", 30, np.random.default_rng(0))
-
-
-def test_rotation_and_blur_agree_with_scipy_inside(patches):
-    ours = textures.rotate(patches, np.full(30, np.radians(33.0)))
-    theirs = ndimage.rotate(patches, 33.0, axes=(2, 1), reshape=False, order=1, mode="reflect")
-    assert_allclose(ours[:, 4:11, 4:11], theirs[:, 4:11, 4:11], atol=1e-5)
-    theirs = np.stack([ndimage.gaussian_filter(patch, 0.7, truncate=6) for patch in patches])
-    assert_allclose(textures.blur(patches, np.full(30, 0.7))[:, 5:10, 5:10], theirs[:, 5:10, 5:10], atol=1e-4)
-    assert_allclose(textures.blur(np.ones((1, 15, 15)), np.array([2.0])), 1)
-
-
-def test_holes_are_filled_as_the_features_fill_them(patches):
-    holed = np.where(np.random.default_rng(6).uniform(size=patches.shape) < 0.6, np.nan, patches.astype(float))
-    expected = holed.copy()
-    for patch in expected:
-        assert loops.fill_holes(patch, 15) == 0
-    assert_allclose(textures.fill_holes(holed), expected, rtol=1e-12)
-
-
-def test_epochs_shuffle_and_survey_anew_but_repeatably():
-    training = textures.shapes(1, 0, 40, 15)
-    first, again, second = (textures.epoch_samples(training, 1, epoch) for epoch in (0, 0, 1))
-    assert_array_equal(first[0], again[0])
-    assert_array_equal(first[1], again[1])
-    assert len(first[2]) == 176, "four forms and short waves"
-    assert (np.diff(first[2]) < 0).any()
-    assert np.abs(first[0] - second[0]).mean() > 0.05
 
 
 def test_unseen_patches_share_none_with_training():

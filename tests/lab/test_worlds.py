@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from made_quarry import tiles_of
 from ply_files import read_vertices
-from scipy.spatial import cKDTree
 
 from bumpymap.core import TEXTURES
-from bumpymap.lab.terrains import KINDS, Terrain, fractal, make_short_waves, make_terrain, make_textures, survey_terrain
+from bumpymap.lab.terrains import KINDS, Terrain, fractal, make_terrain, make_textures, survey_terrain
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_data"
 
@@ -102,46 +101,12 @@ def test_spectra_are_where_the_forms_say():
     assert max(flat[5:].sum(), low[5:].sum(), sine[5:].sum()) < 0.1
 
 
-@pytest.mark.parametrize("pixels", [15, 30])
-def test_short_waves_are_short(pixels):
-    patches = make_short_waves(400, np.random.default_rng(3), pixels)
-    assert patches.shape == (400, pixels, pixels)
-    assert (patches.min(), patches.max()) == (0.0, 1.0)
-    # 0.4 to 0.75 m on a tile of 3 m: 4 to 7.5 waves; crossing ones beat up to sqrt(2) faster.
-    assert power_of(patches)[3:12].sum() > 0.9
-
-
-LEVEL = Terrain("plane", np.zeros((60, 60)), 3.0)
-
-
-def survey(terrain, seed=1, density=100.0, noise_m=0.0):
-    return survey_terrain(terrain, density, noise_m, np.random.default_rng(seed))
-
-
-@pytest.mark.parametrize("density", [10, 1000])
-def test_density_is_that_of_a_poisson_process(density):
-    counts = [len(survey(LEVEL, seed, density=density)[2]) for seed in range(40)]
-    expected = 9 * density
-    # Four standard errors of a Poisson mean of 40 draws.
-    assert np.mean(counts) == pytest.approx(expected, abs=4 * np.sqrt(expected / 40))
-    assert 0.5 < np.var(counts, ddof=1) / expected < 1.9
-
-
 def test_perfect_points_lie_on_the_surface_north_up():
     axis = (np.arange(60) + 0.5) * 0.05
     slope = Terrain("plane", np.broadcast_to(0.2 * axis, (60, 60)) - 0.3 * axis[:, None], 3.0)
-    x, y, z = survey(slope, density=500)
+    x, y, z = survey_terrain(slope, 500, 0.0, np.random.default_rng(1))
     inside = (np.abs(x - 1.5) < 1.4) & (np.abs(y - 1.5) < 1.4)
     np.testing.assert_allclose(z[inside], (0.2 * x - 0.3 * (3.0 - y))[inside], atol=1e-9)
-
-
-@pytest.mark.parametrize("noise", [0.01, 0.05])
-def test_white_noise_has_its_deviation_and_neighbours_do_not_share_it(noise):
-    x, y, z = survey(LEVEL, density=1000, noise_m=noise)
-    assert z.std() == pytest.approx(noise, rel=4 / np.sqrt(2 * 9000))
-    points = np.stack([x, y], axis=1)
-    nearest = cKDTree(points).query(points, k=2)[1][:, 1]
-    assert abs(np.corrcoef(z, z[nearest])[0, 1]) < 0.06
 
 
 @pytest.fixture(scope="module")

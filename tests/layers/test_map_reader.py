@@ -2,7 +2,7 @@
 
 import json
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import astuple, replace
+from dataclasses import replace
 from shutil import rmtree
 
 import geopandas
@@ -336,11 +336,3 @@ def test_what_hangs_together_is_counted_and_small_pieces_but_the_largest_are_isl
     assert alone.island_tiles == 0
     assert zones_line(alone, "%") == "100% of what can be crossed hangs together in one piece of 63 m²"
     assert zones_line(ZoneCounts.of(np.zeros(0, int), 0, 9.0)) == ""
-
-
-def test_strips_do_not_change_the_summary(monkeypatch):
-    table = table_of(make_field(50, 40))
-    whole = summarise(table)
-    monkeypatch.setattr("bumpymap.layers.manifest._STRIP", 1)
-    for found, expected in zip(astuple(summarise(table)), astuple(whole), strict=True):
-        np.testing.assert_array_equal(found, expected)

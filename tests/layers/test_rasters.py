@@ -18,7 +18,7 @@ from small_surveys import band
 
 from bumpymap.core import CANOPY, CLASS_NAMES, FREE, NO_CLASS, OBJECT_NAMES, OBSTACLE, UNSEEN, ObjectStack
 from bumpymap.core.types import BANDS, BARRED_TEXT, REASON_TEXT, Georeference, Reason
-from bumpymap.layers import _cog, geotiff
+from bumpymap.layers import _cog
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
 from bumpymap.layers.geotiff import write_raster
 from bumpymap.layers.map_files import KeptRasters
@@ -379,14 +379,3 @@ def test_known_pixels_are_means_and_others_are_filled_from_the_nearest(tmp_path,
     unknown = tiles & ~known
     np.testing.assert_allclose(found[unknown], filled[unknown] / 100, atol=0.02)
     assert np.isfinite(filled[unknown]).sum() > 100
-
-
-@pytest.mark.parametrize("share", [0.02, 0.8])
-def test_windows_do_not_change_the_bytes(tmp_path, monkeypatch, share):
-    cost_map = thin(make_field(70, 50, grid=Grid(3.0, 5), west=-37, south=-20), share)
-    relief_of(cost_map, tmp_path / "whole.tif")
-    monkeypatch.setattr(geotiff, "_WINDOW_PIXELS", 1)  # one block of tiles
-    monkeypatch.setattr(geotiff, "_READ_TILES", 1)
-    order = np.random.default_rng(2).permutation(len(cost_map.class_id))
-    relief_of(part_of(cost_map, order), tmp_path / "windows.tif")
-    assert (tmp_path / "whole.tif").read_bytes() == (tmp_path / "windows.tif").read_bytes()

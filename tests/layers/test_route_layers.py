@@ -185,20 +185,6 @@ def test_gdal_reads_the_track_where_the_way_is(tmp_path):
     assert np.isnan(expected).any()
 
 
-@given(st.integers(2, 12), st.floats(0.5, 40.0), st.integers(0, 1000))
-def test_a_track_has_every_corner_and_every_point_of_the_profile_in_order(corners, step, seed):
-    rng = np.random.default_rng(seed)
-    line = CORNERS[0] + np.cumsum(rng.uniform(-30.0, 30.0, (corners, 2)), axis=0)
-    route = make_route(corners=line, step=step)
-    points = track_points(route)
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points[:, :2], axis=0).T))])
-    length = np.hypot(*np.diff(line, axis=0).T).sum()
-    assert along[-1] == pytest.approx(length)  # no shortcut, no way back
-    for wanted in (line, np.column_stack([route.profile.easting, route.profile.northing])):
-        off = np.hypot(*(wanted[:, None] - points[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
-        assert off.max() < 1e-5
-
-
 def test_characters_that_xml_cannot_hold_are_replaced(tmp_path):
     write_gpx(make_route("a\x00b\ud800 <&> é"), tmp_path / "route.gpx")
     assert checked(tmp_path / "route.gpx").findtext(f"{NAMESPACE}trk/{NAMESPACE}name") == "a?b? <&> é"

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
-from cost_maps import lone_columns, make_field, make_map, part_of, regions_of, table_of, write_flatgeobuf, write_geojson
+from cost_maps import lone_columns, make_field, make_map, regions_of, table_of, write_flatgeobuf, write_geojson
 from hypothesis import example, given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
 from pyproj import CRS, Transformer
@@ -106,40 +106,6 @@ def test_both_vectors_are_a_coverage_with_the_holes_of_the_tiles(site, keys, cut
     check_coverage(place.polygons(outlines), holes)
 
 
-def areas_by_hand(cost_map):
-    """Unions of the boxes of tiles that share sides and what they are, found apart from the package."""
-    patches, known = cost_map.patches, cost_map.class_id != NO_CLASS
-    passable = known & (cost_map.p_fail < 0.5) & (patches.slope <= cost_map.rule.slope_limit_deg)
-    kind = np.stack([cost_map.class_id, np.where(known, 0, patches.reason), passable], axis=1).astype(int)
-    boxes = shapely.box(patches.col, patches.row, patches.col + 1, patches.row + 1)
-    for key in np.unique(kind, axis=0):
-        for area in shapely.get_parts(shapely.union_all(boxes[(kind == key).all(axis=1)])):
-            yield tuple(key.tolist()), area
-
-
-@settings(max_examples=60)
-@given(
-    cells=st.lists(st.sampled_from([None, 0, 1, NO_CLASS]), min_size=1, max_size=36).filter(
-        lambda cells: any(cell is not None for cell in cells)
-    ),
-    cols=st.integers(1, 6),
-)
-def test_any_small_map_gives_valid_right_hand_regions(cells, cols):
-    present = [(i % cols - 3, i // cols - 3, cell) for i, cell in enumerate(cells) if cell is not None]
-    col, row, class_id = zip(*present, strict=True)
-    cost_map = make_map(col, row, class_id, [3 if cell == NO_CLASS else 0 for cell in class_id])
-    regions = regions_of(cost_map)
-    got = list(zip(regions.class_id, regions.reason, regions.passable, regions.outlines, strict=True))
-    expected = list(areas_by_hand(cost_map))
-    assert len(expected) == len(got)
-    for key, area in expected:
-        assert sum((k, r, p) == key and shapely.equals(area, outline) for k, r, p, outline in got) == 1
-    assert shapely.is_valid(regions.outlines).all()
-    for outline in regions.outlines:
-        assert outline.exterior.is_ccw
-        assert not any(hole.is_ccw for hole in outline.interiors)
-
-
 def test_numbers_are_means_over_the_tiles():
     made = make_map([0, 1, 0, 1, 5], [0, 0, 1, 1, 9], [2, 2, NO_CLASS, NO_CLASS, 2], [0, 0, 3, 4, 0])
     p_fail = np.array([0.1, 0.4, np.nan, np.nan, 0.5], np.float32)
@@ -178,28 +144,6 @@ def test_a_region_of_passable_tiles_lies_in_one_zone():
         [3, 1, None, None],
         [True] * 3 + [False],
     )
-
-
-def test_a_large_map_is_cut_into_windows_from_its_north_west_corner(monkeypatch):
-    cost_map = make_field(45, 30, holes=0.3)
-    monkeypatch.setattr("bumpymap.layers.regions.REGION_WINDOW", 20)
-    patches = cost_map.patches
-    cell = np.stack([(patches.row.max() - patches.row) // 20, (patches.col - patches.col.min()) // 20], axis=1)
-    found, expected = list(dissolve(table_of(cost_map))), []
-    for key in np.unique(cell, axis=0):  # each cell as a map of its own
-        expected += dissolve(table_of(part_of(cost_map, (cell == key).all(axis=1))))
-    assert len(expected) == 6
-
-    def both(name):
-        return [np.concatenate([getattr(batch, name) for batch in batches]) for batches in (found, expected)]
-
-    for name in ("class_id", "reason", "tiles", "passable", "c_r", "c_r_low", "c_r_high", "p_fail", "hazard", "cost"):
-        np.testing.assert_array_equal(*both(name))
-    # A region has vertices at the corners of those beyond the cut, which a map of its window alone does not know.
-    own, alone = both("outlines")
-    assert shapely.equals(own, alone).all()
-    assert (shapely.get_num_coordinates(own) >= shapely.get_num_coordinates(alone)).all()
-    check_coverage(own, holes_of_tiles(patches.col, patches.row))
 
 
 def check_rfc7946(path):

@@ -16,6 +16,8 @@ from bumpymap.patches import close_filter, cloth, mark_ground, require_filter
 from bumpymap.survey import Budget
 from bumpytiles import Grid
 
+pytestmark = pytest.mark.usefixtures("without_views")
+
 needs_filter = pytest.mark.skipif(importlib.util.find_spec("CSF") is None, reason="no cloth-simulation-filter")
 CORNER = np.array([480_000.0, 4_000_032.0, 300.0])
 """Of a block."""
@@ -89,17 +91,11 @@ def test_the_map_under_trees_is_that_of_the_ground_alone(wood, mapped):
 
 @pytest.mark.slow
 @needs_filter
-@pytest.mark.parametrize("cluster", [False, pytest.param(True, marks=pytest.mark.later)])
-def test_no_order_of_the_points_no_budget_and_no_cluster_changes_a_byte(
-    wood, mapped, tmp_path, monkeypatch, cluster, request
-):
-    if cluster:
-        survey, how = mapped / "wood.las", ("--set", f"scheduler={request.getfixturevalue('dask_scheduler')}")
-    else:
-        survey, how = write(tmp_path / "other.laz", np.random.default_rng(3).permutation(wood[0])), ("--threads", 3)
-        monkeypatch.setattr(Budget, "chunk_points", 9_000)
-        monkeypatch.setattr(Budget, "waiting_points", 30_000)
-    run("map", survey, "--ground", "csf", "--out", tmp_path / "csf", *how)
+def test_no_order_of_the_points_and_no_budget_changes_a_byte(wood, mapped, tmp_path, monkeypatch):
+    survey = write(tmp_path / "other.laz", np.random.default_rng(3).permutation(wood[0]))
+    monkeypatch.setattr(Budget, "chunk_points", 9_000)
+    monkeypatch.setattr(Budget, "waiting_points", 30_000)
+    run("map", survey, "--ground", "csf", "--out", tmp_path / "csf", "--threads", 3)
     assert layers_of(tmp_path / "csf") == layers_of(mapped / "csf")
 
 

@@ -9,7 +9,7 @@ import pytest
 from driven_stretches import driven_stretches
 
 from bumpymap.core import BadInputError
-from bumpymap.rating import Calibration, Correction, RideModel, drive_update, update_from_drives
+from bumpymap.rating import Calibration, Correction, RideModel, update_from_drives
 from bumpymap.rating.calibration import shipped_calibrations
 from bumpymap.rating.drive_update import (
     DriveEvidence,
@@ -96,26 +96,6 @@ def evidence_of(rng, n=45, numbers=(0.2, 0.05), *, prior=PRIOR, scale=1.0, line_
     measured = respond(np.array(numbers), log_c_r, prior)[0] + off
     whole = np.zeros(n, np.int64)
     return DriveEvidence(log_c_r, measured, sd**2, map_sd, square, whole, whole, np.full(n, 10.0), np.full(n, 10.0))
-
-
-def test_normal_errors_give_the_textbook_answer(monkeypatch):
-    """Normal own errors, a map's error and a scatter of lines of known sizes."""
-    for name, value in (("FREEDOM", 1e12), ("TAIL_SCALE", 1.0), ("_SURENESS", 1.0)):
-        monkeypatch.setattr(drive_update, name, value)
-    monkeypatch.setattr(drive_update, "_SCALES", np.array([1.3]))
-    monkeypatch.setattr(drive_update, "_LINES", np.array([0.15]))
-    evidence = evidence_of(np.random.default_rng(1))
-    x = evidence.log_c_r - MIDDLE
-    design = np.column_stack((np.ones(len(x)), x))
-    spread = 1.3 * evidence.map_sd
-    same = evidence.square[:, None] == evidence.square
-    errors = np.diag(evidence.own_variance + 0.15**2) + np.outer(spread, spread) * same
-    inverse = np.linalg.inv(errors)
-    precision = design.T @ inverse @ design + np.diag(1 / np.square(PRIOR.sd))
-    mean = np.linalg.solve(precision, design.T @ inverse @ (evidence.log_measured - evidence.log_c_r))
-    found = fit_move(evidence, PRIOR)
-    assert np.allclose(found.mean, mean, rtol=1e-9, atol=0)
-    assert np.allclose(found.covariance, np.linalg.inv(precision), rtol=1e-9, atol=0)
 
 
 @pytest.mark.parametrize(("options", "low"), [({"line_sd": 0.25}, 0.7), ({"scale": 1.5, "n": 60}, 0.65)])

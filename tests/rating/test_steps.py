@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import ndimage
 from scipy.stats import binned_statistic_2d
-from walls import PIXELS, TILE_SIZE, Wall, crossed, mosaic, rated, surveyed
+from walls import PIXELS, TILE_SIZE, Wall, crossed, mosaic
 
-from bumpymap.core import BadInputError, loops
-from bumpymap.rating import Calibration, RideModel, apply_steps, closing_height, crossing_fails, edge_usable, find_steps
+from bumpymap.core import BadInputError
+from bumpymap.rating import Calibration, apply_steps, closing_height, crossing_fails, edge_usable, find_steps
 from bumpymap.rating.steps import STEP_COLUMNS
 
 NORTH, EAST, SOUTH, WEST = range(4)
@@ -208,38 +207,3 @@ def test_a_damaged_record_is_named(damage):
     broken = replace(SHIPPED, steps={**SHIPPED.steps, **damage})
     with pytest.raises(BadInputError, match="record of steps"):
         edge_usable(np.zeros(1), broken)
-
-
-@pytest.mark.parametrize(("density", "noise"), [(50, 0.005), (400, 0.02)])
-@pytest.mark.parametrize(("height", "shift", "turn"), [(1.0, 0.0, 0), (0.2, 0.05, 0), (2.0, -0.1, 90), (0.5, 0.15, 40)])
-def test_a_surveyed_wall_is_rated_as_in_the_middle_of_a_tile(height, shift, turn, density, noise):
-    model, rng = RideModel(SHIPPED), np.random.default_rng(int(1000 * height))
-    wall = Wall(height, 6 + shift, 6 + shift, turn)
-    tiles = crossed(wall, 4, 0.05)
-    _, felt, _ = rated(surveyed(wall, 4, density, noise, rng), model, 4)
-    middle, _, _ = rated(surveyed(Wall(height, 4.5, 4.5, turn), 3, density, noise, rng), model, 3)
-    if turn % 90 == 0:  # on or beside a border: both sides of it
-        tiles[:] = True
-    assert (felt["p_fail"][tiles] > middle["p_fail"][0, 0] - 0.1).all()
-    assert (felt["class_id"][tiles] >= middle["class_id"][0, 0]).all()
-
-
-def test_pixels_that_close_are_those_of_filters_over_the_mosaic():
-    tiles, pixels = 4, 10
-    shape, seen = (tiles * pixels, tiles * pixels), RNG.random((tiles * pixels, tiles * pixels)) < 0.7
-    heights = np.where(seen, RNG.normal(0, 0.2, shape), np.nan).astype(np.float32)
-    is_thin, least = RNG.random((tiles, tiles)) < 0.5, RNG.uniform(0.3, 0.9, (tiles, tiles))
-    of_tiles = np.ones((pixels, pixels))
-    low, closed = np.empty(shape, bool), np.empty(shape, bool)
-    loops.find_low(heights, pixels, least, low)
-    highest = ndimage.maximum_filter(np.where(seen, heights, -np.inf), 3, mode="nearest")
-    np.testing.assert_array_equal(low, highest - heights >= np.kron(least, of_tiles))
-
-    across, along = RNG.choice(3, (2, *shape), p=(0.95, 0.03, 0.02)).astype(np.uint8)
-    jumps = RNG.random(shape) < 0.01
-    loops.close_steps(across, np.ascontiguousarray(along.T), pixels, is_thin, jumps, low, closed)
-    sure = np.kron(is_thin, of_tiles) > 0
-    steps = np.maximum(across, along) > sure
-    beside = ndimage.correlate((steps | jumps | low).astype(int), np.ones((5, 5), int), mode="constant")
-    assert (steps & sure & (beside == 1)).any()
-    np.testing.assert_array_equal(closed, jumps | (steps & (~sure | (beside > 1))))

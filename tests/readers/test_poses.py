@@ -136,16 +136,6 @@ def test_interpolation_is_that_of_scipy_and_ends_where_little_is_known():
     assert track.covers(np.array([0.5, 1.1, 1.6, 2.9, 3.1, 3.3])).tolist() == [True, True, False, True, True, False]
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 1.0, 3.1415])
-def test_motion_continues_beyond_the_ends(angle):
-    """Constant speed: at twice the time, twice the way and twice the angle."""
-    turn = Rotation.from_rotvec([angle, 0.0, 0.0])
-    track = PoseTrack(np.array([0.0, 1.0]), as_poses(Rotation.concatenate([Rotation.identity(), turn]), np.eye(3)[:2]))
-    ends = track.at(np.array([-1.0, 2.0]))
-    np.testing.assert_allclose(ends[:, :3, :3], [turn.inv().as_matrix(), (turn * turn).as_matrix()], atol=1e-9)
-    np.testing.assert_allclose(ends[:, :3, 3], [[2.0, -1.0, 0.0], [-1.0, 2.0, 0.0]], atol=1e-12)
-
-
 STAMPS = [
     lambda ns: f"{ns}",
     lambda ns: f"{ns * 1e-9:.3f}",

@@ -12,7 +12,7 @@ from route_oracles import by_heading, gap_to_closed, reach_by_graph, smooth_fiel
 from small_surveys import run
 from tile_maps import TileMap
 
-from bumpymap.core import Barred, DirectionSettings, axis_values, slope_cost
+from bumpymap.core import Barred
 from bumpymap.route import CostSettings, ground, measure
 from bumpymap.route.ground import CostGround, sample_line
 from bumpymap.route.measure import measure_straight_line, measure_way
@@ -210,29 +210,6 @@ def test_along_a_border_the_dearer_tile_counts(turned):
     assert np.isinf(line_cost(cost, line))
 
 
-def test_on_the_edge_of_the_window_the_tile_inside_is_traced():
-    cost = np.ones((3, 4), np.float32)
-    edge = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 4.0], [0.0, 4.0], [0.0, 0.0]])
-    pieces = trace(cost, edge)
-    assert pieces.length.sum() == pytest.approx(14)
-    assert (pieces.row.min(), pieces.row.max(), pieces.col.min(), pieces.col.max()) == (0, 2, 0, 3)
-    with pytest.raises(ValueError, match="leaves the window"):
-        trace(cost, np.array([[1.0, 1.0], [1.0, 4.01]]))
-
-
-@pytest.mark.parametrize("margin", [0.0, 0.2, 0.45])
-def test_clear_is_what_shapely_measures(margin):
-    """Lines whose ends keep the margin, on random maps."""
-    rng, clear = np.random.default_rng(int(100 * margin)), []
-    for _ in range(150):
-        cost = np.pad(smooth_field(rng, (8, 9), width=1, closed=0.25), 1, constant_values=np.inf)
-        line = rng.permutation(np.argwhere(np.isfinite(cost)))[:3] + 0.5 + rng.uniform(-0.04, 0.04, (3, 2))
-        gap = gap_to_closed(cost, line)
-        assert is_clear(cost, line, margin) == (gap > 0 and gap >= margin)
-        clear.append(gap >= margin and gap > 0)
-    assert 0.05 < np.mean(clear) < 0.95
-
-
 def test_ends_may_be_near_closed_tiles_but_the_way_may_come_no_nearer():
     cost = np.ones((8, 8), np.float32)
     cost[4:] = np.inf
@@ -305,20 +282,6 @@ def test_a_way_is_the_same_back_on_turned_maps_and_where_all_directions_are_alik
     whole = find_way(plain, start, goal, margin=0.3)
     for one, same in ((find_way(each, start, goal, margin=0.3), whole) for each in alike):
         np.testing.assert_array_equal(one, same)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_way_costs_what_its_pieces_do_and_none_lies_in_a_barred_direction(seed):
-    rng = np.random.default_rng(seed)
-    cost = with_slope(rng, by_heading(rng, smooth_field(rng, (40, 30), closed=0.1)))
-    start, goal = rng.permutation(np.argwhere(np.isfinite(cost.tiles[..., 0])))[:2] + 0.5
-    way = find_way(cost, start, goal, margin=0.3)
-    pieces, step = trace(cost, way), np.diff(way, axis=0)
-    rules = DirectionSettings(climb=6.0, descent=2.0, side_slope=3.0, side_limit=math.degrees(math.atan(0.25 + 1e-6)))
-    more, barred = slope_cost(rules, cost.gradient[pieces.row, pieces.col], *step[pieces.part].T)
-    each = axis_values(cost.tiles[pieces.row, pieces.col], *step[pieces.part].T) + more
-    assert (pieces.length * each).sum() == pytest.approx(line_cost(cost, way), rel=1e-9)
-    assert not barred.any()
 
 
 @pytest.mark.parametrize("goal", [(4.5, 4.5), (-0.5, 2.0), (12.0, 3.0), (3.0, 1e9)])

@@ -17,6 +17,8 @@ from bumpymap.layers import open_map
 from bumpymap.rating import Calibration, map_calibration
 from bumpymap.route import LineVehicle, RouteConfig, plan_routes
 
+pytestmark = pytest.mark.usefixtures("without_views")
+
 WAVE_M, HEIGHT_M, SIDE_M = 3.0, 0.04, 30.0
 WEST, SOUTH = 500_001.0, 4_000_002.0
 

@@ -29,7 +29,10 @@ from bumpytiles import Grid, TileWindow
 
 EVERY = ["map.qgs", "profile.csv", "route.geojson", "route.gpx", "route.json", "route.qml"]
 SETTINGS = {"settings": {"risk_m": 25.0, "robust": False}}
-pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning"),
+    pytest.mark.usefixtures("without_views"),
+]
 
 
 @pytest.fixture(scope="module")

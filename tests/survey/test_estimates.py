@@ -24,9 +24,11 @@ from bumpymap.survey import Budget, FlightLines, MapResult, estimate, ground_lin
 from bumpymap.survey.advice import Outcome, advise
 from bumpymap.survey.flight_lines import compare_lines, describe_lines
 from bumpymap.survey.run_record import survey_record
+from bumpymap.views import write_map_views
 from bumpytiles import Grid
 
-pytestmark, later = pytest.mark.slow, pytest.mark.later
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("without_views")]
+later = pytest.mark.later
 
 
 def answer(*words):
@@ -198,6 +200,7 @@ def map_and_look(surveys, folder, budget, monkeypatch):
         return write(*arguments, **options)
 
     monkeypatch.setattr("bumpymap.layers.write_products", write_products)
+    monkeypatch.setattr("bumpymap.views.write_map_views", write_map_views)
     options = ("--out", folder / "layers", "--set", f"scratch={folder / 'scratch'}", "--local", "--quiet")
     run("map", *surveys, *options, code=0)
     found["layers"] = bytes_in(folder / "layers")

@@ -29,7 +29,7 @@ from bumpymap.scan import frames as scan_work
 from bumpymap.scan.frames import FrameReader
 from bumpymap.survey.engine.collector import ReadResult, ResultCollector
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("without_views")]
 
 
 def write_site(path, lift=0.0, east=0.0):
@@ -232,7 +232,8 @@ def test_map_and_info(folder, tmp_path):
     assert [Path(entry["path"]) for entry in record["inputs"]] == [good]
     assert [Path(path) for path in record["skipped"]] == [bad]
     run("map", good, "--out", tmp_path / "plain", code=0)
-    assert layers_of(out) == layers_of(tmp_path / "plain")
+    mine, plain = (layers_of(folder) | {"item.json": b"lists views"} for folder in (out, tmp_path / "plain"))
+    assert mine == plain
 
 
 def test_scan(folder):
@@ -334,7 +335,6 @@ def test_an_orthophoto_of_any_crs_and_depth_is_the_photo_of_a_cloud_without_colo
     found, known, wanted, _ = photo_of(tmp_path / "out")
     assert known.all()
     assert np.abs(found.astype(int) - wanted).max() < 25  # JPEG
-    assert "photo.tif" in (tmp_path / "out" / "map.qgs").read_text()
 
 
 def test_what_an_orthophoto_leaves_out_is_not_known(tmp_path):

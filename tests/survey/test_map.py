@@ -15,8 +15,9 @@ from small_surveys import band, files_in, killed_at, layers_of, run, write_las
 
 from bumpymap.core.run_folder import locked
 from bumpymap.layers.products import VIEW_NAMES
+from bumpymap.views import write_map_views
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("without_views")]
 
 QUARRY = Path(__file__).resolve().parents[2] / "sample_data" / "quarry.laz"
 
@@ -94,9 +95,14 @@ def test_a_run_that_is_complete_is_done_already(layers, survey, extra):
     assert inodes(layers) == before
 
 
-def test_layers_that_a_gis_saved_its_styles_and_statistics_beside_are_still_a_complete_run(survey, layers, tmp_path):
+def test_layers_that_a_gis_saved_its_styles_and_statistics_beside_are_still_a_complete_run(
+    survey, tmp_path, monkeypatch
+):
     """As QGIS leaves them; views that are deleted are not missed, and overwriting brings them back."""
-    out = shutil.copytree(layers, tmp_path / "viewed")
+    monkeypatch.setattr("bumpymap.views.write_map_views", write_map_views)
+    out = tmp_path / "viewed"
+    run("map", survey, "--out", out, code=0)
+    made = files_in(out)
     for name in VIEW_NAMES:
         if (out / name).suffix in {".qml", ".qgs"}:
             (out / name).write_text("<qgis/>", encoding="utf-8")
@@ -113,7 +119,7 @@ def test_layers_that_a_gis_saved_its_styles_and_statistics_beside_are_still_a_co
     assert "Already done" in run("map", survey, "--out", out).output
     run("map", survey, "--out", out, "--overwrite", code=0)
     for name in ("rasters/class.qml", "map.qgs"):
-        assert (out / name).read_bytes() == (layers / name).read_bytes()
+        assert (out / name).read_bytes() == made[name]
     assert not (out / "rasters/roughness.tif.aux.xml").exists()
 
 

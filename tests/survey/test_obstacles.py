@@ -22,7 +22,6 @@ from bumpymap.core import (
     Barred,
     SeenSizes,
     VehicleBody,
-    chance_text,
     corners_join,
     density_for,
     obstacle_reach,
@@ -38,6 +37,8 @@ from bumpymap.survey import second_pass
 from bumpymap.survey.second_pass import NeighbourRating, finish_tiles
 from bumpymap.survey.tile_rating import RatingModels, TileRating
 from bumpytiles import BLOCK_TILES, Grid, TileBuckets, TileTable
+
+pytestmark = pytest.mark.usefixtures("without_views")
 
 TILES = 8
 SIDE = 3.0 * TILES
@@ -377,14 +378,6 @@ def test_the_sparser_part_of_a_tile_counts():
     assert np.median(even) < 0.35
     assert np.median(own) == pytest.approx(0.69, abs=0.12)
     assert tiles_of(lambda: np.array([[0.1], [0.1]]))[0].max() == TILE_M
-
-
-@pytest.mark.parametrize(
-    ("chance", "text"), [(1.0, "over 99.9%"), (0.9999, "over 99.9%"), (0.998, "99.8%"), (0.0, "0.0%")]
-)
-def test_no_chance_to_arrive_is_certain(chance, text):
-    assert chance_text(chance) == text
-    assert not chance_text(chance, 0).startswith("100")
 
 
 # ---- zones: pieces of ground that hang together ----

@@ -22,7 +22,7 @@ from bumpymap.rating import Calibration, RideModel
 from bumpymap.rating.calibration import shipped_calibrations
 from bumpymap.survey.tile_rating import RatingModels
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("without_views")]
 
 EAST, NORTH = 500_013.0, 4_000_020.0
 SEAM = 52.0

@@ -10,6 +10,7 @@ from cost_maps import make_field, with_objects
 from rings import write_points
 from route_maps import write_folder
 from scenes import Place, Scene, Solid, survey_scene
+from small_surveys import no_views
 from survey_pairs import COLS, ROWS, survey
 
 import bumpymap
@@ -20,7 +21,7 @@ from bumpymap.layers import open_map
 @pytest.fixture(scope="session")
 def site(tmp_path_factory):
     """Layers of 40 x 30 tiles with every class and reason, and objects."""
-    return write_folder(tmp_path_factory.mktemp("report") / "site", with_objects(make_field(40, 30)))
+    return write_folder(tmp_path_factory.mktemp("report") / "site", with_objects(make_field(40, 30)), views=True)
 
 
 @pytest.fixture(scope="session")
@@ -107,7 +108,8 @@ def obstacle_site(request, tmp_path_factory):
     place = Place(0.0, 500_000 + rng.uniform(0.0, 3.0), 5_700_000 + rng.uniform(0.0, 3.0))
     points = survey_scene(scene, 400.0, classified=request.param, sides=True, place=place, noise=0.01, margin=3.0)
     write_points(points, folder / "obstacles.las")
-    bumpymap.map_survey(folder / "obstacles.las", folder / "layers")
+    with no_views():
+        bumpymap.map_survey(folder / "obstacles.las", folder / "layers")
     middles = np.stack(np.meshgrid(*(low + np.arange(0.1, 48.0, 0.2) for low in (499_977.0, 5_699_977.0))), axis=-1)
     x, y = place.in_scene(*np.moveaxis(middles, -1, 0))
     under = np.any([solid.inside(x, y) for solid in scene.solids], axis=0)

@@ -1,6 +1,6 @@
 """Load layers and a project as QGIS does when a user drags them in, and report what came of it as JSON.
 
-/usr/bin/python3 load_in_qgis.py FOLDER REPORT.json [pixels]
+/usr/bin/python3 load_in_qgis.py FOLDER REPORT.json
 """
 
 import json
@@ -103,48 +103,22 @@ def corners(box):
     return [box.xMinimum(), box.yMinimum(), box.xMaximum(), box.yMaximum()]
 
 
-def drawn_image(layers, extent, crs, size=SIZE):
-    """Draw layers, the topmost first."""
+def colours_of(layers, extent, crs):
+    """Draw layers, the topmost first, and return the number of colours."""
     settings = QgsMapSettings()
     settings.setLayers(layers)
     settings.setDestinationCrs(crs)
     settings.setBackgroundColor(QColor("white"))
-    settings.setOutputSize(QSize(*size))
+    settings.setOutputSize(QSize(*SIZE))
     settings.setExtent(extent)
     job = QgsMapRendererParallelJob(settings)
     job.start()
     job.waitForFinished()
-    return job.renderedImage()
-
-
-def colours_of(layers, extent, crs):
-    """Draw layers and return the number of colours."""
-    image = drawn_image(layers, extent, crs)
+    image = job.renderedImage()
     return len({image.pixel(x, y) for x in range(0, SIZE[0], 4) for y in range(0, SIZE[1], 4)})
 
 
-TILE_PX = 18
-"""Side of a tile in `pixels_of`: obstacles are seen at this scale."""
-
-
-def pixels_of(shown, layers):
-    """Red, green and blue in the middle of each tile, north row first: of the view, and of each layer under its light.
-
-    ``shown``: the layers that are shown, the topmost first; ``layers``: all, by id.
-    """
-    tiles = layers["bumpymap_class_tif"]
-    cols, rows, half = tiles.width(), tiles.height(), TILE_PX // 2
-    light = [layer for layer in shown if layer.blendMode() == 20]
-    wanted = {"view": shown} | {name: [*light, one] for name, one in layers.items() if one.blendMode() != 20}
-    found = {}
-    for name, some in wanted.items():
-        image = drawn_image(some, tiles.extent(), tiles.crs(), (cols * TILE_PX, rows * TILE_PX))
-        place = [(col * TILE_PX + half, row * TILE_PX + half) for row in range(rows) for col in range(cols)]
-        found[name] = [QColor(image.pixel(*spot)).getRgb()[:3] for spot in place]
-    return found
-
-
-def describe_project(path, *, pixels):
+def describe_project(path):
     """What opens with a project; its view as the main window takes it."""
     project, canvas = QgsProject.instance(), QgsMapCanvas()
     canvas.setObjectName("theMapCanvas")
@@ -166,7 +140,6 @@ def describe_project(path, *, pixels):
         "tree": [[node.layerId(), node.isVisible(), node.layer() is not None] for node in tree.findLayers()],
         "layers": {name: describe(one) | {"tips": tips(one, said[name])} for name, one in layers.items()},
         "rows": [row for row in rows if isinstance(row, str)],
-        "pixels": pixels_of(shown, layers) if pixels else {},
         "extent": corners(canvas.extent()),
         "colours": colours_of(shown, canvas.extent(), project.crs()),
         "pages": pages,
@@ -190,7 +163,7 @@ def describe_page(layout):
     }
 
 
-def main(folder, report, *more):
+def main(folder, report):
     application = QgsApplication([], True)
     application.initQgis()
     found = {"layers": {}}
@@ -201,7 +174,7 @@ def main(folder, report, *more):
             if layer.isValid():
                 about["colours"] = colours_of([layer], layer.extent(), layer.crs())
     if (folder / "map.qgs").exists():
-        found["project"] = describe_project(folder / "map.qgs", pixels=bool(more))
+        found["project"] = describe_project(folder / "map.qgs")
     report.write_text(json.dumps(found, indent=1), encoding="utf-8")
 
 

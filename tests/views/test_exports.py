@@ -44,6 +44,8 @@ from bumpymap.layers import open_map
 from bumpymap.scan import polar_sectors
 from bumpymap.views import ExportSettings, export_map
 
+pytestmark = pytest.mark.usefixtures("without_views")
+
 FREE, LETHAL, INSCRIBED, NO_INFORMATION = 0, 254, 253, 255
 
 

@@ -12,15 +12,14 @@ from xml.etree import ElementTree as ET
 import geopandas
 import numpy as np
 import pytest
-import rasterio
 import shapely
 from check_records import made_up_check, on_site
-from cost_maps import lone_columns, make_field, table_of
+from cost_maps import make_field, table_of
 from page_outline import ReadPage
 from pyproj import CRS
 from route_maps import RUN, copy_folder, plant_photo, write_folder
 from skimage.color import deltaE_ciede2000, rgb2lab
-from small_surveys import band, run, write_survey
+from small_surveys import run, write_survey
 from survey_pairs import survey
 from tile_maps import UTM, MadeUpMap, make_route
 
@@ -35,7 +34,7 @@ from bumpymap.rating import Calibration
 from bumpymap.route.output import write_reach_files, write_route
 from bumpymap.views import write_map_views
 from bumpymap.views.gis.project import write_project, write_styles
-from bumpytiles import Grid, TileTable, TileWindow
+from bumpytiles import Grid, TileWindow
 
 RECORD = RUN | {"metres_per_unit": {"horizontal": 1.0}, "cost": {"speeds_mps_at_c_r_radpm": [[2.0, 0.1]]}}
 INTERVALS = ("under 0.1", "0.1 to 0.2", "0.2 to 0.4", "0.4 and more, or too steep, or drives fail")
@@ -47,10 +46,8 @@ def write_layers(table, folder, *, local=False, **manifest):
 
 @pytest.fixture(name="folder", scope="module")
 def folder_fixture(tmp_path_factory, cost_map):
-    """Layers; the last five passable tiles are an island."""
-    folder, columns = tmp_path_factory.mktemp("site of a user"), lone_columns(cost_map)
-    columns["zone"][np.flatnonzero(columns["passable"])[-5:]] = 2
-    write_layers(replace(table_of(cost_map), tiles=TileTable.of(cost_map.patches.grid, columns)), folder)
+    folder = tmp_path_factory.mktemp("site of a user")
+    write_layers(table_of(cost_map), folder)
     return folder
 
 
@@ -137,22 +134,10 @@ def test_the_relief_is_smooth_and_in_the_unit_of_the_crs(alone):
     assert styled(alone)["rasters/class.qml"].find("pipe/rasterresampler").get("zoomedInResampler") is None
 
 
-def light_of(folder, target, kind):
-    """Copy a folder with a photo of one grey, or with a level relief."""
-    copy_folder(folder, target)
-    if kind == "photo":
-        plant_photo(target, 90)
-    else:
-        with rasterio.open(target / "rasters/relief.tif") as file:
-            profile, shape = file.profile | {"driver": "GTiff"}, file.shape
-        with rasterio.open(target / "rasters/relief.tif", "w", **profile) as file:
-            file.write(np.full((1, *shape), 90, file.dtypes[0]))
-    write_project(target, json.loads((folder / "run.json").read_text()))
-    return target
-
-
 def test_a_photo_lies_as_light_over_the_map_in_place_of_the_relief(folder, tmp_path):
-    root = read(light_of(folder, tmp_path / "layers", "photo") / "map.qgs")
+    lit = plant_photo(copy_folder(folder, tmp_path / "layers"), 90)  # of one grey
+    write_project(lit, json.loads((folder / "run.json").read_text()))
+    root = read(lit / "map.qgs")
     shown = {leaf.get("id"): leaf.get("checked") for leaf in root.find("layer-tree-group").iter("layer-tree-layer")}
     assert (shown["bumpymap_photo_tif"], shown["bumpymap_relief_tif"]) == ("Qt::Checked", "Qt::Unchecked")
     layers = {layer.find("id").text: layer for layer in root.find("projectlayers")}
@@ -207,10 +192,10 @@ RASTERS |= dict.fromkeys(("rasters/heightmap.tif", "rasters/relief.tif"), "hills
 AREAS = ("cost.geojson", "cost.fgb", "tiles.gpkg")
 
 
-def load(folder, *more):
+def load(folder):
     """What QGIS makes of the files in a folder."""
     report = folder.parent / f"{folder.name}.json"
-    command = ["/usr/bin/python3", str(SCRIPT), str(folder), str(report), *more]
+    command = ["/usr/bin/python3", str(SCRIPT), str(folder), str(report)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(report.read_text(encoding="utf-8"))
@@ -305,60 +290,6 @@ def test_the_project_opens_as_a_map(seen):
 
 
 @pytest.mark.qgis
-@pytest.mark.parametrize("kind", ["photo", "relief"])
-def test_colours_are_those_of_the_legend_under_mid_grey_light(folder, tmp_path, kind):
-    """Red, green and blue in the middle of tiles, of each layer and of what a project shows at first."""
-    found = load(light_of(folder, tmp_path / "layers", kind), "pixels")["project"]["pixels"]
-    source = open_map(folder)
-    rasters = {}
-    for path in (*(folder / "rasters").glob("*.tif"), folder / "cost.tif"):
-        with rasterio.open(path) as file:
-            step = file.width // source.window.cols
-            rasters[path.stem] = file.read(1)[step // 2 :: step, step // 2 :: step].ravel()
-    island = band(folder / "rasters/roughness.tif", "zone").ravel() == 2
-
-    def muted(colour):
-        veiled = np.where(island[:, None], 0.4 * colour + 0.6 * 128, colour)
-        return np.where(closed < 255, closed, veiled)
-
-    def of_codes(table, raster):
-        every = np.full((256, 3), 255)
-        for code, (*colour, alpha) in table.items():
-            every[code] = colour if alpha else every[code]
-        return every[rasters[raster]]
-
-    def of_ramp(table, values):
-        stops = sorted(table.items())
-        at, shades = [stop for stop, _ in stops], np.array([colour for _, colour in stops])
-        ramp = np.stack([np.interp(values, at, shades[:, part]) for part in range(3)], axis=1)
-        return np.where(np.isnan(values)[:, None], 255, ramp)
-
-    known, passable = rasters["class"] != NO_CLASS, rasters["barred"] == 0
-    scale = colours.RideScale.of(source.manifest)
-    c_r = np.where(known[:, None], scale.colours(rasters["roughness"]), 255)
-    closed = np.where(known[:, None], colours.CLOSED_COLOUR[:3], colours.UNKNOWN_COLOUR[:3])
-    closed = np.where((passable | (rasters["barred"] == 255))[:, None], 255, closed)
-    dark = of_codes(dict.fromkeys((1, 4), colours.OBJECT_COLOURS[1]), "obstacle")
-    wanted = {
-        "view": np.where(dark < 255, dark, muted(c_r)),
-        "bumpymap_roughness_tif": c_r,
-        "bumpymap_cost_fgb_closed": muted(np.full(c_r.shape, 255)),
-        "bumpymap_obstacle_tif_dark": dark,
-        "bumpymap_class_tif": of_codes(colours.CLASS_COLOURS, "class"),
-        "bumpymap_barred_tif": of_codes(colours.BARRED_COLOURS | {0: (0, 0, 0, 0)}, "barred"),
-        "bumpymap_reason_tif": of_codes(colours.REASON_SHADES | {0: (0, 0, 0, 0)}, "reason"),
-        "bumpymap_obstacle_tif": of_codes(colours.OBJECT_COLOURS, "obstacle"),
-        "bumpymap_passage_tif": of_codes(colours.PASSAGE_COLOURS, "passage"),
-        "bumpymap_cost_tif": of_ramp(colours.COST_COLOURS, rasters["cost"]),
-        "bumpymap_cost_fgb": muted(of_codes(colours.CLASS_COLOURS, "class")),
-    }
-    assert found.keys() - wanted.keys() <= {"bumpymap_speed_tif", "bumpymap_heightmap_tif"}
-    assert island.sum() == 5
-    for name, pixels in wanted.items():
-        assert (np.abs(found[name] - pixels).max(axis=1) > 6).sum() == 0, name
-
-
-@pytest.mark.qgis
 def test_every_field_has_a_name_and_every_layer_says_what_is_under_the_pointer(seen):
     layers, project = seen["layers"], seen["project"]["layers"]
     for layer in (layers["cost.geojson"], layers["cost.fgb"], layers["tiles.gpkg"], project["bumpymap_cost_fgb"]):
@@ -412,7 +343,9 @@ def strange_fixture(tmp_path_factory):
     calibration = RUN["calibration"] | {"vehicle": STRANGE, "preferences": {"description": STRANGE}}
     about = {"survey": RUN["survey"] | {"name": STRANGE}, "calibration": calibration}
     pair = [replace(made, georeference=Georeference(STRANGE_CRS)) for made in (survey(1), survey(3, rut=0.1, c_r=3.0))]
-    maps = [write_folder(root / name, made, **about) for name, made in zip(("before", "map"), pair, strict=True)]
+    maps = [
+        write_folder(root / name, made, views=True, **about) for name, made in zip(("before", "map"), pair, strict=True)
+    ]
     found, ground = on_site(made_up_check(50), maps[1])
     write_route(make_route(STRANGE), ground, root / "route", manifest={})
     write_check(found, root / "check", ground=ground)

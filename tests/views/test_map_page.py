@@ -127,6 +127,7 @@ def test_names_are_text_and_places_of_the_machine_are_not_in_the_page(tmp_path):
     folder = write_folder(
         tmp_path / "odd",
         make_field(6, 5),
+        views=True,
         inputs=[{"path": f"/home/me/{file}", "format": bad, "points": 7, "bytes": 5, "checksum": bad}]
         + [{"path": path, "format": "LAZ", "points": 1} for path in places],
         settings={"surveys": [f"/home/me/{file}"], "crs": "</script>"},

@@ -19,7 +19,10 @@ from bumpymap.views.light import grey_of, hard_light, levelled
 from bumpymap.views.scan_picture import SIDE, paint as paint_image, write_picture
 from bumpymap.views.space import painted
 
-pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning"),
+    pytest.mark.usefixtures("without_views"),
+]
 
 
 @pytest.fixture
@@ -85,14 +88,6 @@ def test_islands_are_faint_and_nothing_else_is(ground, monkeypatch):
     own = RideScale.of(ground.manifest).colours(ground.c_r[faint])
     np.testing.assert_allclose(pixels[faint], 0.4 * own + 0.6 * 128, atol=1.5)
     np.testing.assert_array_equal(pixels[~faint], whole[~faint])
-
-
-def test_reading_strip_by_strip_paints_the_same(ground, monkeypatch):
-    whole, _ = look(ground)
-    monkeypatch.setattr(space, "STRIP_TILES", 300)
-    pieces, _ = look(ground)
-    assert len(ground.windows) > 6
-    np.testing.assert_array_equal(whole, pieces)
 
 
 def paint(scan, classed, range_m=40.0):

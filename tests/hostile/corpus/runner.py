@@ -158,6 +158,7 @@ def _watched(argv):
 
 
 def _map_good(good, out):
+    patch("bumpymap.views.write_map_views", lambda *_: None).start()  # of maps, layers alone: twice as fast
     for argv in (["map", good, "--out", out, "--local", "--threads", "1", "--overwrite"], ["info", good]):
         if _run(argv) != 0:
             raise RuntimeError("a valid survey cannot be read")

@@ -34,7 +34,7 @@ from bumpymap.survey.engine.cluster import (
 from bumpymap.survey.engine.reading import ChunkRange, ReadTask
 from bumpytiles import ClusterError, Grid
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("without_views")]
 
 ROOT = Path(__file__).resolve().parents[3]
 SURVEY, PAGE = ROOT / "sample_data" / "quarry_part.ply", ROOT / "docs" / "pages" / "big-sites.md"
@@ -276,6 +276,14 @@ def make_deadly(monkeypatch, mark, *, always=False):
         return BlockWork(grid, columns, Deadly(work, str(mark), always), *more)
 
     monkeypatch.setattr("bumpymap.survey.pipeline.BlockWork", block_work)
+
+
+@pytest.mark.later
+def test_workers_filter_the_ground_as_this_process_does(surveys, tmp_path, scheduler):
+    pytest.importorskip("CSF")
+    run("map", surveys, "--out", tmp_path / "one", "--ground", "csf", code=0)
+    map_on(scheduler, surveys, tmp_path / "many", "--ground", "csf", code=0)
+    assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
 
 
 @pytest.mark.later

@@ -24,7 +24,7 @@ from bumpymap.survey.engine.budget import Workspace
 from bumpymap.survey.engine.collector import Checkpoints
 from bumpytiles import Pack
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("without_views")]
 
 GO_ON = "Run the same again to continue from the finished tiles."
 
