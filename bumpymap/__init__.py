@@ -1,7 +1,7 @@
 """bumpymap: roughness layers and ride-cost maps from point clouds.
 
-``map_survey`` maps a survey, ``map_batch`` many, ``open`` opens the layers of a run, ``find_routes`` and ``map_reach``
-plan ways over them, ``ride_along`` gives the ride of a line, ``check_drives`` compares them with real drives,
+``map_survey`` maps a survey, ``map_batch`` many, ``open`` opens the layers of a run, ``find_routes`` plans ways
+over them, ``ride_along`` gives the ride of a line, ``check_drives`` compares them with real drives,
 ``diff_surveys`` finds what has changed between two surveys, ``classify_scan`` and ``ScanClassifier`` classify the
 ground in the scans of a robot; ``points_of`` reads and ``GroundGrid`` fills messages of ROS 2. Names are imported
 on first use.

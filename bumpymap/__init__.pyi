@@ -21,7 +21,6 @@ from .readers import points_of as points_of
 from .route import (
     LineRide as LineRide,
     find_routes as find_routes,
-    map_reach as map_reach,
     ride_along as ride_along,
 )
 from .scan import (
@@ -50,7 +49,6 @@ __all__ = [
     "diff_surveys",
     "find_routes",
     "map_batch",
-    "map_reach",
     "map_survey",
     "open",
     "points_of",

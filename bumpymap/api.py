@@ -172,12 +172,6 @@ class Layers:
 
         return find_routes(self, start, goal, **settings)[0]
 
-    def reach(self, start: "Point", **settings: Any) -> "xarray.Dataset":
-        """Map what can be reached from a point; see `bumpymap.map_reach` for parameters, result and errors."""
-        from bumpymap.route import map_reach
-
-        return map_reach(self, start, **settings)
-
     def export(self, out: PathLike, *, overwrite: bool = False, **settings: Any) -> "Export":
         """Write the map in a format that robots read, as ``bumpymap export`` does; errors: `bumpymap.views.export_map`.
 

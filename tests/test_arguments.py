@@ -70,8 +70,6 @@ CALLS = {
     "start": lambda value: bumpymap.find_routes("layers", value, ENDS[1]),
     "goal": lambda value: bumpymap.find_routes("layers", ENDS[0], value),
     "via": lambda value: bumpymap.find_routes("layers", *ENDS, via=value),
-    "reach": lambda value: bumpymap.map_reach("layers", value),
-    "minutes": lambda value: bumpymap.map_reach("layers", ENDS[0], minutes=value),
     "before": lambda value: bumpymap.diff_surveys(value, "layers"),
     "drives": lambda value: bumpymap.check_drives(None, value),
     "map of a check": lambda value: bumpymap.check_drives(value, "drive.csv"),

@@ -39,7 +39,7 @@ _COMMANDS = {
     "info": "report what a survey contains and what a run needs",
     "map": "make roughness layers and a cost map from surveys",
     "report": "make the page of a map again, or compare two maps",
-    "route": "find the cheapest way over mapped ground, and what can be reached",
+    "route": "find the cheapest way over mapped ground",
     "scan": "classify the ground in LiDAR scans of a robot, and map its drive",
     "settings": "print every setting of a command, as a TOML file",
     "train": "train the texture network or the scan network",

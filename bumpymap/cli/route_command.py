@@ -1,4 +1,4 @@
-"""``bumpymap route``: the cheapest way over mapped ground, and what can be reached."""
+"""``bumpymap route``: the cheapest way over mapped ground."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -8,12 +8,12 @@ import click
 
 from bumpymap.cli._options import PATH, Run, job, settings_options
 from bumpymap.cli._text import Table, cell
-from bumpymap.core import UsageError, count_text
+from bumpymap.core import UsageError
 from bumpymap.route import CostSettings, RouteConfig
 
 if TYPE_CHECKING:
     from bumpymap.core import Route
-    from bumpymap.route import Reach, RouteResult
+    from bumpymap.route import RouteResult
 
 _TIGHT_DEG = 10.0
 """Tight turns from which on they are mentioned."""
@@ -33,26 +33,12 @@ _TITLES = (
 
 
 def _lines(result: "RouteResult", config: RouteConfig) -> Iterator[str | Table]:
-    if result.route is not None:
-        yield Table([_row(result.route)], _TITLES)
-        yield from result.notes
-        yield from _remarks(result.route)
-    if result.reach is not None:
-        yield _reached(result.reach)
-        yield from (f"Note: {note}" for note in result.notes)
+    yield Table([_row(result.route)], _TITLES)
+    yield from result.notes
+    yield from _remarks(result.route)
     if config.out is not None:
         folder = result.files[0].parent if result.files else config.out
         yield f"Files in {folder}: {', '.join(path.name for path in result.files)}"
-
-
-def _reached(reach: "Reach") -> str:
-    """Say how much can be reached; of a part of the map, that it is one."""
-    tiles = f"{count_text(reach.tiles, 'tile')} ({reach.area_ha:,.2f} ha) can be reached"
-    share = f"{reach.share:.1%} of the passable ones"
-    farthest = f"the farthest costs {reach.highest_cost:,.0f} m"
-    if reach.limit_m is None:
-        return f"{tiles} from the start, {share}; {farthest}"
-    return f"Within {reach.limit_m:,.0f} m of the start to each side, {tiles}, {share} there; {farthest}"
 
 
 def _row(route: "Route") -> tuple[str, ...]:
@@ -99,21 +85,10 @@ def _remarks(route: "Route") -> Iterator[str]:
 def _record(result: "RouteResult", config: RouteConfig) -> dict[str, Any]:
     from bumpymap.layers import route_properties
 
-    reach = result.reach
-    reached = None
-    if reach is not None:
-        reached = {
-            "tiles": reach.tiles,
-            "area_ha": round(reach.area_ha, 4),
-            "share": round(reach.share, 6),
-            "highest_cost_m": round(reach.highest_cost, 3),
-            "limit_m": reach.limit_m,
-        }
     return {
         "out": None if config.out is None else str(config.out),
         "files": [path.name for path in result.files],
-        "routes": [] if result.route is None else [route_properties(result.route)],
-        "reach": reached,
+        "routes": [route_properties(result.route)],
         "notes": list(result.notes),
     }
 
@@ -125,7 +100,7 @@ def command(run: Run) -> None:
 
     \b
     bumpymap route layers --from 11.5001,48.2003 --to 11.5034,48.2011 --out way
-    bumpymap route layers --from 434100,5411200 --out reach --isochrones 1,2,5
+    bumpymap route layers --from 434100,5411200 --to 434300,5411200 --by time --return
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     settings = run.settings
     if not settings.get("layers"):

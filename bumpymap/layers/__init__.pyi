@@ -52,7 +52,6 @@ from .colours import (
     class_limits as class_limits,
     class_ranges as class_ranges,
     on_islands as on_islands,
-    reach_colours as reach_colours,
 )
 from .folder import write_products as write_products
 from .geotiff import (
@@ -115,17 +114,13 @@ from .regions import (
     label as label,
 )
 from .route_files import (
-    ReachField as ReachField,
-    reach_dataset as reach_dataset,
     route_coordinates as route_coordinates,
     route_properties as route_properties,
     stop_names as stop_names,
     stop_roles as stop_roles,
     window_around as window_around,
     write_gpx as write_gpx,
-    write_isochrones as write_isochrones,
     write_profile as write_profile,
-    write_reach as write_reach,
     write_route_geojson as write_route_geojson,
 )
 from .route_inputs import (

@@ -135,17 +135,6 @@ DIFFERENCE_RAMP = (
 """Colours from the least over none, white, to the most of a difference."""
 ROUTE_COLOUR = (0, 0, 0)
 """Of the line of a way."""
-_REACH_COLOURS: tuple[tuple[int, int, int], ...] = (
-    *((253, 231, 37), (122, 209, 81), (34, 168, 132)),
-    *((42, 120, 142), (65, 68, 135), (68, 1, 84)),
-)
-"""Colours of what is reached, from the start outwards."""
-
-
-def reach_colours(count: int) -> list[tuple[int, int, int]]:
-    """Return the colours of ``count`` steps of what is reached, from the start outwards."""
-    last = len(_REACH_COLOURS) - 1
-    return [_REACH_COLOURS[round(step * last / max(count - 1, 1))] for step in range(count)]
 
 
 _ANCHORS = np.array([CLASS_COLOURS[number][:3] for number in range(len(CLASS_NAMES))], np.float64)

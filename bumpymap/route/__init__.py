@@ -1,4 +1,4 @@
-"""Find ways over a map of costs: the shortest way between two points, and what every tile costs to reach."""
+"""Find ways over a map of costs: the cheapest way between two points, and what a line feels."""
 
 import lazy_loader
 

@@ -9,9 +9,7 @@ from .line_ride import (
 from .pipeline import (
     RouteResult as RouteResult,
     find_routes as find_routes,
-    map_reach as map_reach,
     plan_routes as plan_routes,
 )
 from .places import extent_text as extent_text, parse_point as parse_point
-from .reach import Reach as Reach
 from .settings import CostSettings as CostSettings, RouteConfig as RouteConfig

@@ -1,7 +1,7 @@
-"""Write the files of a route, or of the reach from one start: all of them to a folder, or one of them alone."""
+"""Write the files of a route: all of them to a folder, or one of them alone."""
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from os.path import lexists
 from pathlib import Path
@@ -19,7 +19,6 @@ from bumpymap.layers import (
     MapReader,
     OutputFolder,
     Placement,
-    ReachField,
     describe_file,
     refuse_present,
     require_folder,
@@ -29,22 +28,19 @@ from bumpymap.layers import (
     stop_names,
     window_around,
     write_gpx,
-    write_isochrones,
     write_profile,
-    write_reach,
     write_route_geojson,
 )
-from bumpymap.views import reach_layers, route_layers, view_writers
+from bumpymap.views import route_layers, view_writers
 
 _log = logging.getLogger(__name__)
 
 ROUTE_MANIFEST_NAME = "route.json"
 ROUTE_KINDS = {".geojson": "route.geojson", ".gpx": "route.gpx", ".csv": "profile.csv"}
-REACH_KINDS = {".tif": "reach.tif", ".geojson": "isochrones.geojson"}
 """Name of the file that is written alone, by its suffix."""
-_VIEWS = ("route.qml", "reach.qml", "isochrones.qml", MapFile.PROJECT)
+_VIEWS = ("route.qml", MapFile.PROJECT)
 ROUTE_FILES = OutputFolder(
-    (*ROUTE_KINDS.values(), *REACH_KINDS.values(), *_VIEWS, ROUTE_MANIFEST_NAME),
+    (*ROUTE_KINDS.values(), *_VIEWS, ROUTE_MANIFEST_NAME),
     ROUTE_MANIFEST_NAME,
     views=_VIEWS,
 )
@@ -52,26 +48,26 @@ _AROUND_M = 10.0
 """Ground around the ways when their project is opened, m (chosen)."""
 
 
-def check_out(out: Path, kinds: Mapping[str, str], *, overwrite: bool) -> str | None:
+def check_out(out: Path, *, overwrite: bool) -> str | None:
     """Check, before anything is computed, that files can be written to a folder, or one to a file. Writes nothing.
 
-    ``out``: a folder, or one file that ends in a suffix of ``kinds``, `ROUTE_KINDS` or `REACH_KINDS`. Returns the name,
-    by ``kinds``, of what a single file holds; None for a folder. Raises UsageError: ``out`` is named like a file of a
+    ``out``: a folder, or one file that ends in a suffix of `ROUTE_KINDS`. Returns the name of what a single file
+    holds; None for a folder. Raises UsageError: ``out`` is named like a file of a
     kind that is not written; OutputError: there are files that must not be replaced, or the place of a file is missing.
     """
     suffix, is_folder = out.suffix.lower(), out.is_dir()
-    if suffix in kinds and (not is_folder or out.is_symlink()):
+    if suffix in ROUTE_KINDS and (not is_folder or out.is_symlink()):
         if not out.parent.is_dir():
             raise OutputError(
                 f"cannot write {out}: there is no folder {out.parent}. Create it, or choose another `out`"
             )
         if lexists(out) and not overwrite:
             raise OutputError(f"{out} exists. Choose another `out`, or pass `overwrite=True` to replace it")
-        return kinds[suffix]
+        return ROUTE_KINDS[suffix]
     if suffix in OTHER_FILES and not is_folder:
         raise UsageError(
             f"{out} is named like a {suffix} file, which is not written here. Give a folder as `out`, or a file that "
-            f"ends in {', '.join(kinds)}"
+            f"ends in {', '.join(ROUTE_KINDS)}"
         )
     require_folder(out)
     refuse_present(out, ROUTE_FILES.names, overwrite=overwrite)
@@ -94,66 +90,24 @@ def write_route(
     written; BadInputError: a layer cannot be read, or the route has no longitude and latitude and ``out`` is a GPX
     file.
     """
-    one_file, place = check_out(out, ROUTE_KINDS, overwrite=overwrite), route_coordinates(route)
+    one_file, place = check_out(out, overwrite=overwrite), route_coordinates(route)
     notes: list[str] = []
     writers: dict[str, Callable[[Path], None]] = {
         "route.geojson": partial(write_route_geojson, route),
         "route.gpx": partial(write_gpx, route),
         "profile.csv": partial(write_profile, route),
     }
-    if not place.has_degrees and one_file is None:
+    if one_file is not None:
+        writers[one_file](out)
+        return [out]
+    if not place.has_degrees:
         del writers["route.gpx"]
         notes = ["route.gpx was not written: the layers have no CRS, so longitude and latitude are unknown"]
         _log.warning(notes[0])
-    if one_file is None:
-        spot = Placement(route.georeference, route.grid, window_around(route, _AROUND_M))
-        writers |= view_writers(route_layers(route), spot, source, out, "ways")
-    entries = {**manifest, **_describe_layers(source), "routes": [_describe(route, place)], "notes": notes}
-    return _write(writers, out, one_file, entries, overwrite=overwrite)
-
-
-def write_reach_files(
-    reach: ReachField,
-    source: MapReader,
-    out: Path,
-    manifest: Mapping[str, Any],
-    *,
-    levels: Sequence[float] = (),
-    overwrite: bool = False,
-) -> list[Path]:
-    """Write reach.tif, isochrones.geojson (with levels), route.json and a project of QGIS to a folder.
-
-    ``out`` may be one file instead, .tif for the raster or .geojson for the isochrones; ``levels`` of these: minutes.
-    For the other parameters, the result and errors see `write_route`.
-    """
-    one_file = check_out(out, REACH_KINDS, overwrite=overwrite)
-    about = {"vehicle": source.vehicle.name}
-    writers: dict[str, Callable[[Path], None]] = {"reach.tif": partial(write_reach, reach, about=about)}
-    if levels:
-        writers["isochrones.geojson"] = partial(write_isochrones, reach, levels, about=about)
-    if one_file is None:
-        writers |= view_writers(reach_layers(reach, levels), reach.placement, source, out, "what can be reached")
-    entries = {**manifest, **_describe_layers(source), "notes": []}
-    return _write(writers, out, one_file, entries, overwrite=overwrite)
-
-
-def _write(
-    writers: Mapping[str, Callable[[Path], None]],
-    out: Path,
-    one_file: str | None,
-    entries: Mapping[str, Any],
-    *,
-    overwrite: bool,
-) -> list[Path]:
-    """Write one file, from `check_out`, or all of them and route.json with these entries."""
-    if one_file is not None:
-        if one_file not in writers:
-            raise UsageError(
-                f"{out} would hold {one_file}, which needs levels. Give the levels of the isochrones too, or a folder"
-            )
-        writers[one_file](out)
-        return [out]
-    head = {"format": "bumpymap-route", "version": 1, **entries, "versions": software_versions()}
+    spot = Placement(route.georeference, route.grid, window_around(route, _AROUND_M))
+    writers |= view_writers(route_layers(route), spot, source, out, "ways")
+    head = {"format": "bumpymap-route", "version": 1, **manifest, **_describe_layers(source)}
+    head |= {"routes": [_describe(route, place)], "notes": notes, "versions": software_versions()}
     return ROUTE_FILES.write(out, writers, lambda _, files: head | {"files": files}, overwrite=overwrite)
 
 

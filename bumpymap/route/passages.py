@@ -4,7 +4,7 @@ passage.tif numbers the areas of each tile in which the middle of the vehicle ca
 where pixels of two areas touch across the border of their tiles is an arc. So there is a path in the graph exactly
 where there is a way on pixels. Nodes that are two or three arcs apart are joined straight as well, so that a path is
 not as long as the steps of a staircase. The way is then searched on the pixels of all tiles that lie on a path which
-costs little more than the cheapest. What can be reached is the cost of the paths to all nodes.
+costs little more than the cheapest.
 """
 
 import math
@@ -19,7 +19,6 @@ from scipy.sparse import csgraph
 from bumpymap.core import Floats, axis_values, slope_cost
 from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.places import on_grid, overlap
-from bumpymap.route.search import sum_along
 from bumpymap.route.straighten import as_cost
 from bumpytiles import TileWindow
 
@@ -93,67 +92,6 @@ def way_over_areas(ground: CostGround, start: Floats, goal: Floats) -> Floats | 
     # The points between sections lie anywhere in their tiles: a way between the middles of sections is free of them.
     again = _on_pixels(ground, [start, *_middles(line, points), goal], window, corridor)
     return again if again is not None else line
-
-
-def reach_over_areas(
-    ground: CostGround, window: TileWindow, start: Floats, cost: Floats, time: Floats, slow: NDArray[np.float32]
-) -> NDArray[np.bool_]:
-    """Extend what is reached over whole tiles by what is reached over the areas of tiles.
-
-    ``ground``: the map, with costs; ``window``: it takes ``BYTES_PER_TILE`` of memory for each tile; ``start`` (2,):
-    easting and northing, m; ``cost``, ``time`` (rows, cols): of the cheapest way over whole tiles to each tile, times
-    tiles; the cost is infinite where none leads; both are changed; ``slow``: time of a metre on each. Returns (rows,
-    cols): tiles in which the vehicle fits somewhere.
-    """
-    graph = _graph(ground, window)
-    count, cost_of_tile, time_of_tile = len(graph.tile), cost.reshape(-1), time.reshape(-1)  # views
-    slow_of_node = slow.ravel()[graph.tile].astype(np.float64)
-    per_tile = ground.on_tiles(window).ravel()[graph.tile].astype(np.float64)
-    # A way over whole tiles ends in the largest area of its tile, from where it goes on.
-    size = np.bincount(graph.node.ravel() + 1, minlength=count + 1)[1:]
-    seeds = _least_of_each(graph.tile, -size)
-    seeds = seeds[np.isfinite(cost_of_tile[graph.tile[seeds]])]
-    seed_cost, seed_time = cost_of_tile[graph.tile[seeds]], time_of_tile[graph.tile[seeds]]
-    start_node = _node_at(ground, graph, window, start)
-    if start_node >= 0:
-        place = ground.in_window(start[None], window)[0] / ground.site.grid.pixels
-        straight = math.dist(place, graph.middle[start_node])
-        seeds, seed_time = np.append(seeds, start_node), np.append(seed_time, straight * slow_of_node[start_node])
-        seed_cost = np.append(seed_cost, straight * per_tile[start_node])
-    kept = _least_of_each(seeds, seed_cost)
-    seeds, seed_cost, seed_time = seeds[kept], np.maximum(seed_cost[kept], _TINY), seed_time[kept]
-    arcs = graph.arcs
-    with_start = sparse.csr_array(  # a node of its own, behind all others, from which the arcs to the seeds go
-        (
-            np.append(arcs.data, seed_cost),
-            np.append(arcs.indices, seeds.astype(arcs.indices.dtype)),
-            np.append(arcs.indptr, arcs.indptr[-1] + len(seeds)),
-        ),
-        (count + 1, count + 1),
-    )
-    spent, before = csgraph.dijkstra(with_start, indices=count, return_predecessors=True)
-    spent, before = spent[:-1], np.where(before[:-1] >= 0, before[:-1], count)
-    hop = np.zeros(count)
-    follows = before < count
-    hop[follows] = np.hypot(*(graph.middle[follows] - graph.middle[before[follows]]).T)
-    hop[follows] *= 0.5 * (slow_of_node[follows] + slow_of_node[before[follows]])
-    at_seed = seeds[~follows[seeds]]
-    hop[at_seed] = seed_time[~follows[seeds]]
-    nearest = _least_of_each(graph.tile, spent)
-    tiles = graph.tile[nearest]
-    is_cheaper = spent[nearest] + _CORNER_TILES * per_tile[nearest] < _CHEAPER * cost_of_tile[tiles]
-    nearest, tiles = nearest[is_cheaper], tiles[is_cheaper]
-    cost_of_tile[tiles] = spent[nearest]
-    time_of_tile[tiles] = sum_along(np.append(before, len(hop)), np.append(hop, 0.0))[nearest]
-    has_room = np.zeros(cost.size, np.bool_)
-    has_room[graph.tile] = True
-    return has_room.reshape(cost.shape)
-
-
-def _least_of_each(group: NDArray[np.int64], value: NDArray[np.generic]) -> NDArray[np.int64]:
-    """Return the place of the least value of each group; groups are numbers from 0."""
-    order = np.lexsort((value, group))
-    return order[np.diff(group[order], prepend=-1) > 0]
 
 
 def _graph(ground: CostGround, window: TileWindow) -> AreaGraph:

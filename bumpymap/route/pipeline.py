@@ -1,18 +1,17 @@
-"""Job 3: from the layers of a map to ways over it, or to what can be reached; from the command line and from Python.
+"""Job 3: from the layers of a map to ways over it; from the command line and from Python.
 
 Open the map, find the points on it, choose the order in which they are passed (exact, by dynamic programming over
 subsets: Held and Karp 1962), plan the ways, measure them, write them.
 """
 
 import logging
-import math
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack
+from typing import Any, TypeAlias, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,11 +36,6 @@ from bumpymap.route.planner import Planner
 from bumpymap.route.search import MOST_TILES
 from bumpymap.route.settings import CostSettings, RouteBy, RouteConfig
 from bumpymap.route.stops import Stops, find_stops
-
-if TYPE_CHECKING:
-    import xarray
-
-    from bumpymap.route.reach import Reach
 
 MOST_VISITS = 12
 """Most points whose order is chosen: the work doubles with each."""
@@ -84,8 +78,8 @@ Point: TypeAlias = str | tuple[float, float]
 """``"lon,lat"`` or ``"x,y"`` in the survey's CRS, or a pair of such numbers."""
 
 
-class ReachSettings(TypedDict, total=False):
-    """Settings of `map_reach`: fields of ``RouteConfig`` and ``CostSettings``; paths may be strings."""
+class RouteSettings(TypedDict, total=False):
+    """Settings of `find_routes`: fields of ``RouteConfig`` and ``CostSettings``; paths may be strings."""
 
     by: RouteBy
     risk: float | None
@@ -102,11 +96,6 @@ class ReachSettings(TypedDict, total=False):
     only: PathLike | None
     allow_outside: bool
     memory: str
-
-
-class RouteSettings(ReachSettings, total=False):
-    """Settings of `find_routes`."""
-
     calibration: PathLike | None
     through_obstacles: bool
     visit: bool
@@ -168,45 +157,7 @@ def find_routes(
     checked |= {"start": _text("start", start), "goal": _text("goal", goal), "via": tuple(_text("via", p) for p in via)}
     target = None if out is None else Path(path_of_call("out", out))
     config = RouteConfig(layers=Path(path_of_call("layers", layers)), out=target, **checked)
-    planned = plan_routes(config).route
-    return [] if planned is None else [planned]
-
-
-def map_reach(
-    layers: PathLike, start: Point, *, minutes: float | None = None, **settings: Unpack[ReachSettings]
-) -> "xarray.Dataset":
-    """Map what can be reached from a point: cost and minutes of the cheapest way to every tile.
-
-    Parameters
-    ----------
-    layers, start
-        As in `find_routes`.
-    minutes : float, optional
-        Tiles farther away than this are left out where possible, so that less is read.
-    **settings
-        ``by``, ``risk``, ``robust``, ``direction``, ``climb``, ``descent``, ``side_slope``, ``side_limit``,
-        ``unknown``, ``seen_width``, ``snap``, ``avoid``, ``only``, ``allow_outside``, ``memory``, as in `find_routes`.
-
-    Returns
-    -------
-    xarray.Dataset
-        ``cost`` [m] and ``minutes`` [min], NaN where a tile cannot be reached; dimensions ``y`` (north first), ``x``.
-
-    Raises
-    ------
-    BadInputError, UsageError
-        As `find_routes`; or the extra ``notebook`` is not installed.
-    """
-    from bumpymap.layers import reach_dataset
-
-    checked = _settings(settings, "map_reach", ReachSettings.__annotations__)
-    checked |= settings_of_call({"isochrones": None if minutes is None else [minutes]}, RouteConfig, "map_reach")
-    config = RouteConfig(layers=Path(path_of_call("layers", layers)), start=_text("start", start), **checked)
-    with _opened(config) as ground:
-        found = _reach(ground, find_stops(ground, config), config)
-    for note in found.notes:
-        _log.warning(note)
-    return reach_dataset(found)
+    return [plan_routes(config).route]
 
 
 def _settings(settings: Mapping[str, Any], function: str, known: Collection[str]) -> dict[str, Any]:
@@ -237,10 +188,7 @@ _log = logging.getLogger(__name__)
 class RouteResult:
     """Result of a route run."""
 
-    route: Route | None
-    """The way; None if there was no goal."""
-    reach: "Reach | None"
-    """The part of the map that can be reached, if there was no goal."""
+    route: Route
     files: tuple[Path, ...]
     """The files that were written."""
     notes: tuple[str, ...]
@@ -258,26 +206,17 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
     with _opened(config) as ground:
         stops = find_stops(ground, config)
         if config.out is not None:
-            from bumpymap.route.output import REACH_KINDS, ROUTE_KINDS, check_out, write_reach_files, write_route
+            from bumpymap.route.output import check_out, write_route  # slow to load
 
-            check_out(config.out, REACH_KINDS if config.is_reach else ROUTE_KINDS, overwrite=config.overwrite)
-        if config.is_reach:
-            if config.out is None:
-                raise UsageError("the map of what can be reached is written to a folder: add `out='DIR'`")
-            found = _reach(ground, stops, config)
-            notes = [*stops.notes, *found.notes]
-            manifest = {"settings": asdict(config), "start": stops.points[0], "remarks": notes}
-            levels, again = config.isochrones, config.overwrite
-            files = write_reach_files(found, ground.site, config.out, manifest, levels=levels, overwrite=again)
-            return RouteResult(None, found, tuple(files), tuple(notes))
+            check_out(config.out, overwrite=config.overwrite)
         progress.start("route", None)
         route, remarks = _route(ground, stops, config)
         notes = [*stops.notes, *remarks]
-        files = []
+        files: list[Path] = []
         if config.out is not None:
             manifest = {"settings": asdict(config), "remarks": notes}
             files = write_route(route, ground.site, config.out, manifest, overwrite=config.overwrite)
-    return RouteResult(route, None, tuple(files), tuple(notes))
+    return RouteResult(route, tuple(files), tuple(notes))
 
 
 @contextmanager
@@ -310,8 +249,8 @@ def _route(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[Route
         unknown = "cross unknown ground with `unknown=COST`, " if config.cost.unknown is None else ""
         raise BadInputError(
             f"there is no way from {first} to {second} on which the vehicle fits. {name_zones(ground, *ends)}"
-            f"{what_closes(ground, *ends)}Choose other points (without a goal, the same command maps what can be "
-            f"reached), {unknown}map the survey for another vehicle, or drive through what the map takes for an "
+            f"{what_closes(ground, *ends)}Choose other points, {unknown}"
+            f"map the survey for another vehicle, or drive through what the map takes for an "
             "obstacle with `through_obstacles`"
         )
     way, remarks = with_line_ride(ground, way, config.calibration)
@@ -346,11 +285,3 @@ def _in_best_order(planner: Planner, stops: Stops, config: RouteConfig) -> Stops
             costs[b, a] = planner.leg_cost(ring[b], ring[a])
     order = best_order(costs, fixed_end=config.round_trip or config.goal is not None or config.points is not None)
     return stops.in_order(order[: len(points)])
-
-
-def _reach(ground: CostGround, stops: Stops, config: RouteConfig) -> "Reach":
-    """Return what can be reached from the start, within the largest outline."""
-    from bumpymap.route.reach import find_reach
-
-    most = 60.0 * ground.site.rule.top_mps * max(config.isochrones, default=math.inf)
-    return find_reach(ground, stops.points[0], most)

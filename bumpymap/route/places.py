@@ -116,8 +116,6 @@ def overlap(one: TileWindow, other: TileWindow) -> TileWindow:
 
 def window_within(whole: TileWindow, start: NDArray[np.float64], reach: float) -> TileWindow:
     """Return the part of a map within a distance of a place, tiles east and north of the grid's origin."""
-    if not math.isfinite(reach):
-        return whole
     west = max(whole.col, math.floor(start[0] - reach))
     south = max(whole.row, math.floor(start[1] - reach))
     east = min(whole.col + whole.cols, math.ceil(start[0] + reach) + 1)

@@ -1,4 +1,4 @@
-"""The cheapest way between two points of a window, and what every tile costs to reach.
+"""The cheapest way between two points of a window, and which tiles can be reached.
 
 The search goes from middle to middle of tiles by 48 moves, each the exact integral of the cost over the
 tiles that it crosses, clear of closed ones. Start and goal lie anywhere in their tiles and see the middles around them
@@ -386,17 +386,6 @@ def spread(
     """
     (g, back, _), _, inner = _search(as_costs(cost), settle_point(start), None, margin, 0.0)
     return np.ascontiguousarray(inner(g)), np.ascontiguousarray(inner(back))
-
-
-def sum_along(before: NDArray[np.integer], value: Floats) -> Floats:
-    """Add the values of all nodes before each one, (n + 1,), to its own, in place.
-
-    The first of a path has ``before`` n: the last is no node, has the value 0, and comes before itself.
-    """
-    while (before < len(value) - 1).any():  # each pass doubles how many are added
-        value += value[before]
-        before = before[before]
-    return value
 
 
 def follow_back(back: NDArray[np.uint8], row: int, col: int) -> Floats:

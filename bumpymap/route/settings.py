@@ -50,9 +50,7 @@ class RouteConfig:
     start: Annotated[
         str | None, Setting("Start: lon,lat or x,y in the survey's CRS", "POINT", option="from", group="Way")
     ] = None
-    goal: Annotated[
-        str | None, Setting("Goal; without one, map what can be reached", "POINT", option="to", group="Way")
-    ] = None
+    goal: Annotated[str | None, Setting("Goal", "POINT", option="to", group="Way")] = None
     via: Annotated[tuple[str, ...], Setting("Point to pass; may be given several times", "POINT", group="Way")] = ()
     points: Annotated[Path | None, Setting("Start, points and goal (GeoJSON, GPX, CSV)", "FILE", group="Way")] = None
     """Instead of the three above."""
@@ -60,12 +58,6 @@ class RouteConfig:
     """Start and goal keep their places (on a round trip, only the start)."""
     round_trip: Annotated[bool, Setting("Return to the start", option="return", group="Way")] = False
     snap: Annotated[float, Setting("Move points on closed ground by up to M", "M", 0.0, unit="m", group="Way")] = 0.0
-    isochrones: Annotated[
-        tuple[float, ...],
-        Setting(
-            "Outlines of what is reached within these minutes", "LIST", 0.0, unit="minutes", exclusive=True, group="Way"
-        ),
-    ] = ()
     out: Annotated[Path | None, Setting("Folder, or a .geojson, .gpx or .csv file", "PATH", group="Output")] = None
     """Folder, or file of a format that its suffix names; None: only the summary."""
     overwrite: Annotated[bool, Setting("Replace the files of an earlier run", group="Output")] = False
@@ -88,15 +80,5 @@ class RouteConfig:
         if self.points is not None and (self.goal is not None or self.via):
             raise UsageError("the file of points holds start, points to pass and goal: leave out `goal` and `via`")
         memory_limit(self.memory)
-        if self.is_reach and (self.visit or self.round_trip):
-            raise UsageError(
-                "without a goal the run maps what can be reached from the start; `visit` and `round_trip` "
-                "belong to a way: add `goal`, `via` or `points`"
-            )
-        if not self.is_reach and self.isochrones:
-            raise UsageError("`isochrones` are those of a start without a goal: leave out `goal` and `via`")
-
-    @property
-    def is_reach(self) -> bool:
-        """True if there is a start only, so that the run maps what can be reached from it."""
-        return self.points is None and self.goal is None and not self.via
+        if self.points is None and self.goal is None and not self.via:
+            raise UsageError("a way needs more than a start: add `goal`, `via` or a file of `points`")

@@ -13,7 +13,6 @@ from .export.write import (
 from .gis.project import (
     change_layers as change_layers,
     check_layers as check_layers,
-    reach_layers as reach_layers,
     route_layers as route_layers,
     view_writers as view_writers,
     write_map_views as write_map_views,

@@ -86,7 +86,6 @@ TIPS = {
     "check.geojson": f"{_escaped('drive')} || ': measured ' || {_field('measured', 2)} || ', map ' || "
     f"{_field('c_r', 2, 'rad/m')} || ': ' || \"off\"",
     "route.geojson": f"{_escaped('name')} || if(\"role\" IS NULL, ': ' || {_WAY}, '')",
-    "isochrones.geojson": f"'within ' || \"within\" || ' min: ' || {_field('area_m2', 0, 'm2')}",
 }
 """Expressions of QGIS by file: a sentence on a feature."""
 
@@ -181,12 +180,6 @@ _FIELDS: dict[str, dict[str, str]] = {
         "seen": "what the survey does not show",
         "risk_m": "detour that a certain failure is worth (m)",
         "why": "why the way leaves the straight line",
-    },
-    "isochrones.geojson": {
-        "within": "time from the start (min)",
-        "of": "quantity",
-        "unit": "its unit",
-        "area_m2": "area (m2)",
     },
 }
 

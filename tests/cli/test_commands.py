@@ -11,7 +11,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pyogrio
 import pytest
-import rasterio
 from cost_maps import make_field
 from made_frames import write_bin
 from ply_files import read_vertices, write_ply
@@ -102,8 +101,7 @@ REFUSED = [
     (2, f"route layers --from here --to {A}", "'here' is not a point"),
     (2, f"route layers --from {A} --to {B} --unknown 0.5", "unknown is 0.5"),
     (2, f"route layers --from {A} --to {B} --risk 1e300", "risk is 1e+300"),
-    (2, f"route layers --from {A}", "--out DIR"),
-    (2, f"route layers --from {A} --to {B} --isochrones 1", "without a goal"),
+    (2, f"route layers --from {A}", "more than a start: add --to"),
     (3, f"route layers --from 1,1 --to {A} --out OUT", "lies outside the map"),
     (3, f"route layers --from {place(10.5, 15.5)} --to {A} --out OUT", "not passable (too steep). The nearest point"),
     (3, f"route layers --from {place(20.5, 2.5)} --to {A} --out OUT", "unknown ground; --unknown COST"),
@@ -246,26 +244,6 @@ def test_where_the_survey_is_too_thin_the_message_says_what_density_would_do(tmp
     exported = json.loads((tmp_path / "nav2" / "datum.json").read_text())
     assert exported["seen"] == record["counts"]["seen_sizes"]["seen"]
     assert exported["seen"] in (tmp_path / "nav2" / "map.yaml").read_text()
-
-
-def test_what_can_be_reached_is_a_raster_and_outlines_of_the_map_or_a_part(tmp_path):
-    out = tmp_path / "reach"
-    words = ["route", "layers", "--from", place(20.5, 8.5), "--out", out, "--overwrite"]
-    result = run(*words, "--isochrones", "0.5,1", code=0)
-    assert "can be reached from the start" in result.stdout
-    with rasterio.open(out / "reach.tif") as file:
-        assert file.descriptions == ("cost", "minutes")
-        assert file.crs.to_epsg() == 32614
-        (cost,) = file.sample([tuple(float(part) for part in place(20.5, 18.5).split(","))])
-    assert not cost[0] <= 60.0 * 1.6  # only around the wall
-    assert len(pyogrio.read_dataframe(out / "isochrones.geojson")) == 2
-    part = run(*words, "--isochrones", "0.2")
-    assert part.stdout.startswith("Within 18 m of the start to each side, ")
-    found = json.loads(run(*words, "--isochrones", "0.2", "--json").stdout)["reach"]
-    assert f"{found['tiles']:,} tiles ({found['area_ha']:.2f} ha) can be reached, {found['share']:.1%}" in part.stdout
-    assert (round(found["limit_m"]), found["tiles"] < 150) == (18, True)
-    whole = json.loads(run(*words, "--json").stdout)["reach"]
-    assert (whole["limit_m"], whole["tiles"] > 600) == (None, True)
 
 
 # --- scan ---

@@ -1,4 +1,4 @@
-"""Files of routes, reach, checks and scans, read back by others; what a folder of scans may hold."""
+"""Files of routes, checks and scans, read back by others; what a folder of scans may hold."""
 
 import json
 from dataclasses import replace
@@ -10,34 +10,29 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-import rasterio
 import shapely
 from check_records import STRETCH_M, made_up_check, stretches_at
 from hypothesis import given, settings, strategies as st
 from ply_files import read_vertices
 from pyogrio.raw import read
-from pyproj import CRS, Geod, Transformer
-from rio_cogeo.cogeo import cog_validate
+from pyproj import CRS, Transformer
 from small_surveys import files_in
 from tile_maps import CORNERS, FIGURES, UTM, MadeUpMap, make_route
 
 from bumpymap.check.pipeline import agreement_of
 from bumpymap.core import CLASS_NAMES, BadInputError, Frame, Georeference, SeenSizes, sector_bounds
 from bumpymap.core.errors import OutputError
-from bumpymap.layers import Placement, ReachField, check_scan_folder, move_products, name_frames, open_accumulated
+from bumpymap.layers import check_scan_folder, move_products, name_frames, open_accumulated
 from bumpymap.layers.check_files import NOT_COMPARED, OFF_KINDS, MapOffset, place_stretches, write_stretches
 from bumpymap.layers.route_files import (
     PROFILE_COLUMNS,
     track_points,
     write_gpx,
-    write_isochrones,
     write_profile,
-    write_reach,
     write_route_geojson,
 )
 from bumpymap.layers.scan_files import COLUMNS, open_table, sector_rows, write_cloud
 from bumpymap.layers.scan_folder import SCAN_COLOURS
-from bumpytiles import BLOCK_TILES, Grid, TileWindow
 
 PROPERTIES = {
     *("name", "vehicle", "length_m", "straight_m", "detour", "cost_m", "c_r_mean", "c_r_mean_low", "c_r_mean_high"),
@@ -206,68 +201,6 @@ def test_every_number_of_the_profile_is_there(georeference, tmp_path):
     assert found["c_r"].isna().any()
     back = Transformer.from_crs(CRS.from_epsg(4326), georeference.crs, always_xy=True)
     np.testing.assert_allclose(np.column_stack(back.transform(found["lon"], found["lat"])), places, atol=0.015)
-
-
-WINDOW = TileWindow(160_003, 680_007, 3 * BLOCK_TILES + 5, 2 * BLOCK_TILES + 3)
-
-
-@pytest.fixture(scope="module")
-def reach():
-    """Cost grows with the distance from a tile; a strip in the east cannot be reached."""
-    rows, cols = np.mgrid[: WINDOW.rows, : WINDOW.cols]
-    cost = (3.0 * np.hypot(rows - 20, cols - 15)).astype(np.float32)
-    cost[:, -7:] = np.nan
-    return ReachField(Placement(UTM, Grid(), WINDOW), cost, cost / 60.0)
-
-
-def test_another_reader_reads_the_raster_bit_for_bit(reach, tmp_path):
-    path = tmp_path / "reach.tif"
-    write_reach(reach, path, {"vehicle": "warthog"})
-    assert cog_validate(path)[0]
-    with rasterio.open(path) as file:
-        assert (file.descriptions, file.units) == (("cost", "minutes"), ("m", "min"))
-        assert (file.crs.to_epsg(), np.isnan(file.nodata), file.tags()["vehicle"]) == (32614, True, "warthog")
-        np.testing.assert_array_equal(file.read(1), reach.cost)
-        np.testing.assert_array_equal(file.read(2), reach.minutes)
-        assert file.xy(0, 0) == (WINDOW.col * 3.0 + 1.5, (WINDOW.row + WINDOW.rows) * 3.0 - 1.5)
-
-
-def isochrones(reach, levels, path):
-    write_isochrones(reach, levels, path, about={"vehicle": "warthog"})
-    collection = json.loads(path.read_text(), parse_constant=pytest.fail)
-    geometries = [feature["geometry"] for feature in collection["features"]]
-    return collection, [geometry and shapely.geometry.shape(geometry) for geometry in geometries]
-
-
-def test_isochrones_hold_the_ground_within_their_level(reach, tmp_path):
-    levels = [0.5, 1.5, 1.0, 1.0]
-    collection, shapes = isochrones(reach, levels, tmp_path / "isochrones.geojson")
-    properties = [feature["properties"] for feature in collection["features"]]
-    assert [entry["within"] for entry in properties] == [1.5, 1.0, 0.5]
-    assert (collection["vehicle"], properties[0]["unit"]) == ("warthog", "min")
-    assert collection["bbox"] == pytest.approx(shapes[0].bounds)
-    for level, entry, shape in zip([1.5, 1.0, 0.5], properties, shapes, strict=True):
-        assert shape.is_valid
-        assert shape.geom_type == "MultiPolygon"
-        tiles = int((reach.minutes <= level).sum())
-        assert entry["area_m2"] == 9.0 * tiles
-        area = abs(Geod(ellps="WGS84").geometry_area_perimeter(shape)[0])
-        assert area == pytest.approx(9.0 * tiles, rel=2e-3)  # the scale of the projection
-        for polygon in shape.geoms:
-            assert polygon.exterior.is_ccw
-            assert not any(hole.is_ccw for hole in polygon.interiors)
-    assert shapes[0].buffer(1e-7).covers(shapes[1])
-    assert shapes[1].buffer(1e-7).covers(shapes[2])
-
-
-def test_what_none_can_reach_and_levels_that_mean_nothing(reach, tmp_path):
-    nothing = replace(reach, minutes=np.full_like(reach.cost, np.nan))
-    collection, shapes = isochrones(nothing, [5.0], tmp_path / "b.geojson")
-    assert (shapes, "bbox" in collection) == ([None], False)
-    for levels in ([], [0.0, 5.0], [float("nan")]):
-        with pytest.raises(BadInputError, match="positive"):
-            isochrones(reach, levels, tmp_path / "c.geojson")
-    assert not (tmp_path / "c.geojson").exists()
 
 
 def stretches_in(result, path, georeference=UTM):

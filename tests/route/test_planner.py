@@ -1,7 +1,6 @@
-"""Ways over maps in memory and what can be reached: costs, risk, closed tiles, areas, stones, windows that grow."""
+"""Ways over maps in memory: costs, risk, closed tiles, areas, stones, windows that grow."""
 
 import math
-import tracemalloc
 from itertools import pairwise
 
 import numpy as np
@@ -17,8 +16,7 @@ from bumpymap.route.ground import CostGround
 from bumpymap.route.measure import way_cost
 from bumpymap.route.places import in_window
 from bumpymap.route.planner import Planner, tile_line
-from bumpymap.route.reach import find_reach
-from bumpymap.route.search import BYTES_PER_TILE, MOVES, find_way, follow_back, spread
+from bumpymap.route.search import MOVES, find_way
 from bumpymap.route.straighten import line_cost
 
 
@@ -95,9 +93,6 @@ def test_ground_that_shows_too_little_is_refused_and_a_way_says_what_it_would_no
         "At 10 points/m2, objects narrower than 1.2 m and steps lower than 0.2 m are not seen."
     )
     assert planner(site, seen_width=0.3).way(ends) is None
-    found = find_reach(ground_of(site, seen_width=0.5), ends[0])
-    assert np.isnan(found.cost[10:, 15:25]).all()
-    assert np.isfinite(found.cost[20, 34])
 
 
 def test_a_way_keeps_room_beside_obstacles_where_there_is_room():
@@ -166,8 +161,6 @@ def test_a_way_knows_direction_as_an_exhaustive_search_does(headings, around, go
     assert plain.figures.detour < 1.01
     np.testing.assert_array_equal(planner(site).way(stops[::-1]).line, way.line[::-1])
     assert way_cost(ground_of(site), plain.line) > 1.03 * way.figures.cost_m
-    reach = find_reach(ground_of(site), stops[0])
-    assert reach.cost[int(goal[0]), int(goal[1])] == pytest.approx(way.figures.cost_m, rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -198,8 +191,6 @@ def test_up_a_bank_a_way_goes_straight_or_slanting_as_an_exhaustive_search_does(
         assert found.figures.cost_m == pytest.approx(best + weight * 18.0 * tan, rel=1e-3)
     x = np.interp(site.south * 3.0 + np.array([30.0, 48.0]), found.line[::-1, 1], found.line[::-1, 0])
     assert math.degrees(math.atan2(np.diff(x)[0], 18.0)) == pytest.approx(off_deg, abs=1.0)
-    reach = find_reach(ground_of(site, **settings), stops[1])
-    assert found.figures.cost_m <= reach.cost[23, 4] * (1 + 1e-6) <= 1.04 * found.figures.cost_m
 
 
 def made_field(rows=600, cols=40, seed=1):
@@ -314,88 +305,20 @@ def test_a_way_touches_nothing_and_is_there_wherever_a_search_over_pixels_finds_
     assert ground.is_clear(line)
 
 
-@pytest.mark.parametrize("by", ["cost", "time"])
-def test_minutes_are_those_at_the_speed_of_each_tile_along_the_way(by):
+def test_the_way_of_least_time_takes_less_than_that_of_least_cost():
     rng = np.random.default_rng(9)
     c_r = rng.gamma(2.0, 0.1, (30, 40))
-    site, start = TileMap(c_r, np.where(rng.random(c_r.shape) < 0.1, Barred.SLOPE, Barred.NO)), (15.4, 20.7)
-    ground = ground_of(site, by=by)
-    reach, slow = find_reach(ground, site.at(*start)), np.maximum(c_r / 0.15, 1.0) / 2.0
-    _, back = spread(ground.on_tiles(site.window), start, margin=ground.margin)
-    reached = np.argwhere(np.isfinite(reach.minutes))
-    for row, col in rng.permutation(reached)[:60].tolist():
-        way = shapely.LineString([*follow_back(back, row, col), start])
-        steps = math.ceil(way.length / 0.007)
-        tile = shapely.get_coordinates(way.interpolate((np.arange(steps) + 0.5) / steps, normalized=True)).astype(int)
-        assert reach.minutes[row, col] * 20.0 == pytest.approx(slow[*tile.T].mean() * way.length, rel=0.005, abs=0.01)
-    assert (reach.share, reach.area_ha) == (1.0, len(reached) * 9 / 1e4)
-    goal = reached[0] + 0.5
-    ways = {kind: planner(site, by=kind).way(np.array([site.at(*start), site.at(*goal)])) for kind in ("cost", "time")}
+    site = TileMap(c_r, np.where(rng.random(c_r.shape) < 0.1, Barred.SLOPE, Barred.NO))
+    slow = np.maximum(c_r / 0.15, 1.0) / 2.0
+    ends = np.array([site.at(15.4, 20.7), site.at(2.5, 1.5)])
+    ways = {kind: planner(site, by=kind).way(ends) for kind in ("cost", "time")}
     seconds = [way.figures.seconds for way in ways.values()]
     assert seconds[1] < seconds[0]
     assert ways["time"].figures.cost_m == pytest.approx(2.0 * seconds[1], rel=1e-6)
-
-
-def test_a_limit_reads_a_window_and_keeps_what_lies_within():
-    rng = np.random.default_rng(5)
-    site = TileMap(rng.gamma(2.0, 0.1, (120, 150)))
-    start = site.at(60.5, 70.5)
-    whole = find_reach(ground_of(site), start)
-    part = find_reach(ground_of(site), start, most_m=60.0)
-    assert part.cost.size < whole.cost.size / 4
-    top = site.south + 120 - part.placement.window.row - part.placement.window.rows
-    left = part.placement.window.col - site.west
-    same = whole.cost[top : top + part.placement.window.rows, left : left + part.placement.window.cols]
-    near = same <= 60.0
-    assert near.sum() > 100
-    np.testing.assert_array_equal(part.cost[near], same[near])
-
-
-def test_what_does_not_fit_in_memory_is_refused():
-    site = TileMap(np.full((30, 30), 0.1))
-    with pytest.raises(UsageError, match="900 tiles; 500 fit"):
-        find_reach(CostGround(site, CostSettings(), 500), site.at(3.5, 3.5), math.inf)
-
-
-def test_the_field_takes_no_more_memory_than_the_search():
-    """A map may fill the limit."""
-    rng = np.random.default_rng(6)
-    site = TileMap(rng.uniform(0.05, 0.5, (300, 300)), np.where(rng.random((300, 300)) < 0.1, Barred.SLOPE, Barred.NO))
-    ground = ground_of(site)
-    cost = ground.on_tiles(site.window, through=False)
-    start = site.at(*(np.argwhere(site.barred == Barred.NO)[0] + 0.5))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(CostGround, "on_tiles", lambda *_, **__: cost.copy())
-        find_reach(ground, start)  # loads libraries
-        tracemalloc.start()
-        find_reach(ground, start)
-        most = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-    assert most < 1.3 * BYTES_PER_TILE * cost.size
-
-
-def walled():
-    """30 x 40 tiles with a wall from north to south; a gap of 2.6 m in it, in the middle of a tile; and a start."""
-    barred = np.zeros((30, 40), np.uint8)
-    barred[:, 20] = Barred.SPLIT
-    site = TileMap(np.full((30, 40), 0.2), barred)
-    (east, south), (_, middle), (_, north) = (site.at(row, 20.5) for row in (30, 10.5, 0))
-    wall = np.arange(south + 0.1, north, 0.2)
-    site.stones = [(east + 0.1, float(y)) for y in wall if abs(y - middle) >= 1.3]
-    return site, site.at(15.5, 8.5)
-
-
-def test_what_lies_behind_a_gap_is_reached_at_the_cost_of_a_way_there():
-    site, start = walled()
-    ground = ground_of(site)
-    planner, reach = Planner(ground), find_reach(ground, start)
-    assert np.isfinite(reach.cost).all()
-    assert reach.share == 1.0
-    for row, col in ((10, 21), (2, 30), (28, 39), (15, 24)):
-        cost = planner.leg_cost(start, site.at(row + 0.5, col + 0.5))
-        # A way keeps room at the corners of the gap, for which it is up to a few percent longer.
-        assert reach.cost[row, col] == pytest.approx(cost, rel=0.06), (row, col)
-        assert reach.minutes[row, col] == pytest.approx(reach.cost[row, col] / 2.0 / 1.5 / 60.0, rel=1e-4)
+    line = shapely.LineString(in_window(ways["time"].line, site.grid, site.window))
+    steps = math.ceil(line.length / 0.007)
+    tile = shapely.get_coordinates(line.interpolate((np.arange(steps) + 0.5) / steps, normalized=True)).astype(int)
+    assert seconds[1] == pytest.approx(3.0 * slow[*tile.T].mean() * line.length, rel=0.005)
 
 
 def test_a_way_leads_over_corners_of_pixels_where_half_the_width_is_free():
@@ -413,14 +336,3 @@ def test_a_way_leads_over_corners_of_pixels_where_half_the_width_is_free():
     way = shapely.LineString(Planner(ground).line(start, goal))
     gap = shapely.distance(way, shapely.points(np.array(site.stones))).min()
     assert 0.5 * site.vehicle.width_m < gap < 0.5 * site.vehicle.width_m + 0.2
-    reach = find_reach(ground, start)
-    assert np.isfinite(reach.cost).all()
-    assert reach.cost[5, 8] == pytest.approx(Planner(ground).leg_cost(start, goal), rel=0.15)  # by areas, straight
-
-
-def test_without_the_memory_for_it_only_whole_tiles_are_searched_and_that_is_said():
-    site, start = walled()
-    reach = find_reach(CostGround(site, CostSettings(), 2000), start)
-    assert np.isnan(reach.cost[:, 21:]).all()
-    (note,) = reach.notes
-    assert "between obstacles were not looked for" in note

@@ -9,23 +9,22 @@ import re
 import numpy as np
 import pytest
 import shapely
-import xarray
 from pyproj import CRS, Proj, Transformer
-from rings import HALF_M, Ring, crossed_by_tools, is_reached
+from rings import HALF_M, Ring, crossed_by_tools
 from route_maps import COLS, ROWS, SOUTH, WEST, bare_map, place, site, write_folder
 from small_surveys import files_in
-from tile_maps import CORNERS, UTM, MadeUpMap, TileMap, make_route
+from tile_maps import CORNERS, MadeUpMap, TileMap, make_route
 
 import bumpymap
 from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference, OutputError, UsageError
-from bumpymap.layers import Placement, ReachField, open_map
+from bumpymap.layers import open_map
 from bumpymap.route import CostSettings, RouteConfig, parse_point, plan_routes
 from bumpymap.route.ground import CostGround
-from bumpymap.route.output import REACH_KINDS, ROUTE_FILES, ROUTE_KINDS, check_out, write_reach_files, write_route
+from bumpymap.route.output import ROUTE_FILES, check_out, write_route
 from bumpymap.route.places import place_in_window
 from bumpymap.route.planner import Planner
 from bumpymap.route.stops import find_stops, usable_point
-from bumpytiles import Grid, TileWindow
+from bumpytiles import TileWindow
 
 EVERY = ["map.qgs", "profile.csv", "route.geojson", "route.gpx", "route.json", "route.qml"]
 SETTINGS = {"settings": {"risk_m": 25.0, "robust": False}}
@@ -40,19 +39,13 @@ def source():
     return MadeUpMap.around()
 
 
-@pytest.fixture
-def reach():
-    cost = np.arange(12, dtype=np.float32).reshape(3, 4)
-    return ReachField(Placement(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3)), cost, cost)
-
-
 def write(out, source, **options):
     return write_route(make_route(), source, out, manifest=SETTINGS, **options)
 
 
 def test_a_folder_gets_every_file_and_the_manifest(source, tmp_path):
     out = tmp_path / "new" / "routes"
-    check_out(out, ROUTE_KINDS, overwrite=False)
+    check_out(out, overwrite=False)
     assert not out.exists()
     files = write_route(make_route(stops=CORNERS), source, out, manifest=SETTINGS)
     assert sorted(files_in(out)) == EVERY
@@ -78,16 +71,17 @@ def test_one_file_by_its_suffix(suffix, source, tmp_path):
     assert sorted(files_in(tmp_path)) == [out.name]
 
 
-def test_files_of_an_earlier_run_are_replaced_only_if_allowed_and_links_are_not_followed(source, reach, tmp_path):
+def test_files_of_an_earlier_run_are_replaced_only_if_allowed_and_links_are_not_followed(source, tmp_path):
     out, mine = tmp_path / "out", tmp_path / "mine"
-    write_reach_files(reach, source, out, levels=[5.0], manifest={})
+    write(out, source)
+    (out / "profile.csv").unlink()
     for path in (mine, out / "notes.txt"):
         path.write_text("mine")
     for link in (out / "profile.csv", tmp_path / "way.csv"):
         link.symlink_to(mine)
     before = {path: path.read_bytes() for path in out.iterdir()}
     with pytest.raises(OutputError, match="already holds"):
-        check_out(out, ROUTE_KINDS, overwrite=False)
+        check_out(out, overwrite=False)
     for target in (tmp_path / "way.csv", out):
         with pytest.raises(OutputError, match=r"already holds|exists"):
             write(target, source)
@@ -95,7 +89,7 @@ def test_files_of_an_earlier_run_are_replaced_only_if_allowed_and_links_are_not_
         write(target, source, overwrite=True)
     assert not (out / "profile.csv").is_symlink()
     assert not (tmp_path / "way.csv").is_symlink()
-    assert sorted(files_in(out)) == sorted([*EVERY, "notes.txt"])  # reach.tif would not belong to the new route.json
+    assert sorted(files_in(out)) == sorted([*EVERY, "notes.txt"])
     assert mine.read_text() == "mine"
 
 
@@ -114,42 +108,23 @@ def test_without_a_crs_gpx_is_left_out_and_said(source, tmp_path, caplog):
 
 
 @pytest.mark.parametrize(
-    ("kinds", "name", "error", "words"),
+    ("name", "error", "words"),
     [
-        (ROUTE_KINDS, "way.kml", UsageError, r"\.geojson, \.gpx, \.csv"),
-        (REACH_KINDS, "way.gpx", UsageError, r"\.tif, \.geojson"),
-        (ROUTE_KINDS, "file", OutputError, "it is a file"),
-        (ROUTE_KINDS, "missing/way.csv", OutputError, "there is no folder"),
+        ("way.kml", UsageError, r"\.geojson, \.gpx, \.csv"),
+        ("file", OutputError, "it is a file"),
+        ("missing/way.csv", OutputError, "there is no folder"),
     ],
 )
-def test_places_that_cannot_hold_the_files_are_refused(source, tmp_path, kinds, name, error, words):
+def test_places_that_cannot_hold_the_files_are_refused(source, tmp_path, name, error, words):
     (tmp_path / "file").touch()
     with pytest.raises(error, match=words):
-        check_out(tmp_path / name, kinds, overwrite=True)
-    if kinds is ROUTE_KINDS:
-        with pytest.raises(error, match=words):
-            write(tmp_path / name, source, overwrite=True)
+        check_out(tmp_path / name, overwrite=True)
+    with pytest.raises(error, match=words):
+        write(tmp_path / name, source, overwrite=True)
     (tmp_path / "route.gpx").mkdir()
     with pytest.raises(OutputError, match="is not a file"):
         write(tmp_path, source, overwrite=True)
     assert sorted(files_in(tmp_path)) == ["file"]
-
-
-def test_the_reach_has_files_of_its_own(source, reach, tmp_path):
-    check_out(tmp_path / "all", REACH_KINDS, overwrite=False)
-    files = write_reach_files(reach, source, tmp_path / "all", levels=[5.0, 9.0], manifest=SETTINGS)
-    assert [path.name for path in files] == [
-        *("reach.tif", "isochrones.geojson"),
-        *("isochrones.qml", "reach.qml", "map.qgs", "route.json"),
-    ]
-    assert sorted(files_in(tmp_path / "all")) == sorted(path.name for path in files)
-    few = write_reach_files(reach, source, tmp_path / "few", manifest=SETTINGS)
-    assert [path.name for path in few] == ["reach.tif", "reach.qml", "map.qgs", "route.json"]
-    for name in ("cost.tif", "within.geojson"):
-        out = tmp_path / name
-        assert write_reach_files(reach, source, out, levels=[5.0], manifest={}) == [out]
-    with pytest.raises(UsageError, match="levels"):
-        write_reach_files(reach, source, tmp_path / "other.geojson", manifest={})
 
 
 @pytest.fixture(scope="module")
@@ -168,18 +143,6 @@ def test_a_route_is_a_line_with_figures(layers):
     assert f"{way.figures.length_m:,.1f} m" in repr(way)
 
 
-def test_a_reach_is_a_dataset(layers):
-    reach = layers.reach(pair(20.5, 8.5))
-    assert isinstance(reach, xarray.Dataset)
-    assert reach.rio.crs.to_epsg() == 32614
-    x, y = pair(20.5, 22.5)
-    cost = float(reach["cost"].sel(x=x, y=y))
-    way = layers.route(pair(20.5, 8.5), (x, y))
-    assert way.figures.cost_m <= cost <= 1.03 * way.figures.cost_m
-    assert np.isnan(reach["cost"].sel(x=(WEST + 15.5) * 3, y=(SOUTH + ROWS - 20.5) * 3))
-    assert set(bumpymap.map_reach(layers, pair(20.5, 8.5), minutes=0.5).data_vars) == {"cost", "minutes"}
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("gap", "thickness", "density", "classified"),
@@ -195,7 +158,6 @@ def test_a_wall_is_a_wall_for_all_that_read_the_map(tmp_path, gap, thickness, de
     if fits:
         assert yard.leads_through(way)
         assert way.figures.obstacle_m == 0.0
-    assert is_reached(yard, layers) == fits
     crossed = crossed_by_tools(yard, layers)
     assert crossed.pop("Nav2, tiles") <= fits  # a cell of 3 m with a part of the wall in it is closed as a whole
     assert crossed == dict.fromkeys(crossed, fits)

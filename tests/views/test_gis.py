@@ -27,14 +27,13 @@ import bumpymap
 from bumpymap.check.pipeline import write_check
 from bumpymap.core import BARRED_TEXT, CHANGE_KINDS, CLASS_NAMES, NO_CLASS, OBJECT_NAMES, REASON_TEXT
 from bumpymap.core.types import Georeference
-from bumpymap.layers import Placement, ReachField, colours, open_map, write_products
+from bumpymap.layers import colours, open_map, write_products
 from bumpymap.layers.check_files import OFF_KINDS, MapOffset
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.rating import Calibration
-from bumpymap.route.output import write_reach_files, write_route
+from bumpymap.route.output import write_route
 from bumpymap.views import write_map_views
 from bumpymap.views.gis.project import write_project, write_styles
-from bumpytiles import Grid, TileWindow
 
 RECORD = RUN | {"metres_per_unit": {"horizontal": 1.0}, "cost": {"speeds_mps_at_c_r_radpm": [[2.0, 0.1]]}}
 INTERVALS = ("under 0.1", "0.1 to 0.2", "0.2 to 0.4", "0.4 and more, or too steep, or drives fail")
@@ -406,29 +405,16 @@ def over_map(project, shown, hidden=frozenset()):
 
 
 @pytest.mark.qgis
-def test_ways_and_what_can_be_reached_are_drawn_over_the_map(tmp_path, site):
-    ways, reach, source = tmp_path / "way", tmp_path / "reach", open_map(site)
+def test_ways_are_drawn_over_the_map(tmp_path, site):
+    ways, source = tmp_path / "way", open_map(site)
     way = make_route(name="it's a way")
     write_route(way, source, ways, manifest={})
-    values = np.arange(12, dtype=np.float32).reshape(3, 4)
-    field = ReachField(Placement(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3)), values, values / 4)
-    write_reach_files(field, source, reach, levels=[1, 0.5], manifest={})
     seen = load(ways)["project"]
     shown = {"obstacle_tif_dark", "cost_fgb_closed", "roughness_tif", "relief_tif"}
     over_map(seen, {"route_geojson_stops", "route_geojson_ways", *shown})
     drawn = [seen["layers"][f"bumpymap_route_geojson_{part}"]["drawn"] for part in ("stops", "ways")]
     assert drawn[0] == {"start": 1, "goal": 1}
     assert {label.split(":")[0]: count for label, count in drawn[1].items()} == {way.name: 1}
-    seen = load(reach)
-    shown = {"isochrones_geojson", "reach_tif_minutes", "cost_fgb_closed", "relief_tif"}
-    over_map(seen["project"], shown, {"reach_tif_cost"})
-    layers = seen["project"]["layers"]
-    assert [layers[f"bumpymap_reach_tif_{part}"]["bands"] for part in ("cost", "minutes")] == [[1], [2]]
-    assert seen["layers"]["reach.tif"]["bands"] == [2]
-    assert seen["layers"]["isochrones.geojson"]["drawn"] == {"within 0.5 min": 1, "within 1 min": 1}
-    assert [entry[0] for entry in seen["layers"]["reach.tif"]["legend"]] == [
-        f"{value:.3g} min" for value in np.linspace(0, 11 / 4, 6)
-    ]
 
 
 @pytest.mark.qgis

@@ -194,13 +194,6 @@ def crossed_by_tools(ring, layers):
     return found
 
 
-def is_reached(ring, layers):
-    """Whether what can be reached from the middle of a ring holds the ground around it."""
-    start, goal = ring.ends
-    reach = bumpymap.map_reach(layers, start, snap=6.0)
-    return bool(np.isfinite(reach.cost.sel(x=goal[0], y=goal[1], method="nearest")))
-
-
 def write_points(points, path):
     """Write points of a scene as LAS."""
     corner, columns = (500_000, 5_700_000, 0), {"classification": points.classification}

@@ -58,7 +58,6 @@ from bumpymap.layers import (
     class_ranges,
     first_island,
     open_layer,
-    reach_colours,
     read_colours,
 )
 from bumpymap.views.fields import TIPS, code_tip, field_names, quoted, ride_tip, value_tip
@@ -70,7 +69,7 @@ from bumpymap.views.words import seen_sizes
 
 if TYPE_CHECKING:  # of other jobs
     from bumpymap.core import Route
-    from bumpymap.layers import ChangeField, MapReader, Placement, ReachField
+    from bumpymap.layers import ChangeField, MapReader, Placement
 
 QGIS_VERSION = "3.22.0"
 """The version of QGIS whose form the files have; newer ones read it too."""
@@ -288,32 +287,6 @@ def route_layers(route: "Route") -> list[ViewLayer]:
         ViewLayer(file, "stops", vectors(file, stops), "stops", within="|geometrytype=Point"),
         ViewLayer(file, "ways", vectors(file, ways), "ways", within="|geometrytype=LineString"),
     ]
-
-
-_REACH_STOPS = 6
-"""Colours of reach.tif: chosen."""
-
-
-def reach_layers(reach: "ReachField", levels: Sequence[float]) -> list[ViewLayer]:
-    """Return what can be reached: outlines of ``levels`` [min], minutes, cost."""
-    steps, file = sorted({float(level) for level in levels}), "isochrones.geojson"
-    looks = [
-        (f'"within" = {level!r}', f"within {level:g} min", (*colour, 255), "outline")
-        for level, colour in zip(steps, reach_colours(len(steps)), strict=True)
-    ]
-    cost, minutes = _distances(reach.cost, "m", 1), _distances(reach.minutes, "min", 2)
-    return [
-        *([ViewLayer(file, "outlines", vectors(file, looks))] if looks else []),
-        ViewLayer("reach.tif", "minutes from the start", minutes, "minutes"),
-        ViewLayer("reach.tif", "cost from the start", cost, "cost", visible=False),
-    ]
-
-
-def _distances(values: NDArray[np.float32], unit: str, band: int) -> Style:
-    most = float(np.nan_to_num(values).max(initial=0.0)) or 1.0
-    shades = zip(np.linspace(0.0, most, _REACH_STOPS).tolist(), reach_colours(_REACH_STOPS), strict=True)
-    stops = [(stop, (*colour, 255)) for stop, colour in shades]
-    return _ramp("from the start", unit, stops, ("0", f"{most:.3g} {unit}"), band=band)
 
 
 _RELIEF = {"contrast": -20, "brightness": -32}
