@@ -33,7 +33,7 @@ ROOMS = {
         {"core", "readers", "patches", "rating", "layers", "views"},
         {"numpy", "pyproj", "scipy", "skimage", "small_gicp"},
     ),
-    "route": ({"core", "rating", "layers", "views"}, {"numpy", "scipy", "skimage", "xarray"}),
+    "route": ({"core", "rating", "layers", "views"}, {"numpy", "scipy", "skimage"}),
     "change": ({"core", "layers", "views"}, {"numpy", "scipy"}),
     "check": ({"core", "rating", "readers", "layers", "route", "views"}, {"numpy", "pyproj", "scipy"}),
     "lab": (
