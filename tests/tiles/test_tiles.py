@@ -127,11 +127,9 @@ def test_a_coordinate_has_the_bits_of_numpy(integer, scale, offset):
     assert Scaling.of(scaling.numbers().tolist()) == scaling
 
 
-def test_tiles_with_points_and_with_flagged_points_are_counted():
+def test_the_flags_that_the_points_of_tiles_have_are_known():
     buckets = TileBuckets(GRID)
-    assert buckets.flagged_share() == 0.0
     buckets.add(np.array([0.5, 1.0, 3.5, 100.0]), np.zeros(4), np.zeros(4), np.array([True, False, False, True]))
-    assert buckets.flagged_share() == 2 / 3
     assert np.argwhere(buckets.flags((0, 0))).tolist() == [[0, 0], [0, 1], [1, 0]]
     assert buckets.points((0, 0)) == 3
 

@@ -1,5 +1,7 @@
 """Surveys read into memory and measured block by block, for tables about all of their tiles."""
 
+import numpy as np
+
 from bumpymap.core import BadInputError, FeatureSettings, decide_ground
 from bumpymap.patches import decks_as_ground, measure
 from bumpymap.readers import PointStats, find_surveys, open_survey
@@ -20,8 +22,9 @@ class MeasuredSurvey:
             reader.verify(stats)
         if not len(self.buckets):
             raise BadInputError("no point is left: every point is withheld, noise or without return")
+        flags = np.concatenate([self.buckets.flags(key) for key in self.buckets.keys()])  # noqa: SIM118 (no mapping)
         # For a single tile, the share of ground points replaces the count of tiles with ground points.
-        self.ground_only = decide_ground("auto", 1, self.buckets.flagged_share())
+        self.ground_only = decide_ground("auto", 1, float(np.mean(flags[flags.any(axis=1), 1])))
 
     def measured(self, parts):
         """Measure the tiles of blocks; a dense block comes in several parts."""

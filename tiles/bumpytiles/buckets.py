@@ -223,12 +223,6 @@ class TileBuckets:
             seen[(part["tile"].astype(np.intp) << 3) | part["flag"]] = True
         return seen.reshape(_TILES, 8)
 
-    def flagged_share(self) -> float:
-        """Return the share of tiles with points that hold a flagged point, 0..1 (0 without points)."""
-        seen = [self.flags(key) for key in self.keys()]
-        tiles = sum(int(each.any(axis=1).sum()) for each in seen)
-        return sum(int(each[:, 1].sum()) for each in seen) / tiles if tiles else 0.0
-
     def blocks(self) -> Iterator[TilePoints]:
         """Yield the blocks, south-west first."""
         for key in self.keys():
