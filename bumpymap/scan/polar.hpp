@@ -21,7 +21,7 @@ constexpr double infinite = std::numeric_limits<double>::infinity();
 // Memory of a loop, indexed as an `Array` is.
 template <class T>
 struct Scratch : std::vector<T> {
-    explicit Scratch(Index size = 0, T value = {}) : std::vector<T>(static_cast<std::size_t>(size), value) {}
+    explicit Scratch(Index size = 0, const T& value = T{}) : std::vector<T>(static_cast<std::size_t>(size), value) {}
 
     Index count() const { return static_cast<Index>(this->size()); }
     T& operator[](Index i) { return std::vector<T>::operator[](static_cast<std::size_t>(i)); }
@@ -37,7 +37,7 @@ T& kept_memory() {
 
 // Fills memory that is kept from scan to scan, so that the system need not give it anew.
 template <class T>
-void renew(Scratch<T>& kept, Index size, T value = {}) {
+void renew(Scratch<T>& kept, Index size, const T& value = T{}) {
     kept.assign(static_cast<std::size_t>(size), value);
 }
 
@@ -52,10 +52,19 @@ constexpr std::uint16_t no_place = 65535;
 
 // A number rounded to a multiple of 2^-28: sums of such terms are exact below 2^25, so that the order of the points of
 // a scan does not matter. For numbers up to 2^23.
-inline double exact(double term) {
-    constexpr double rounding = 3.0 * (1 << 23);  // its last bit is 2^-28
-    return (term + rounding) - rounding;
+constexpr double rounding = 3.0 * (1 << 23);  // its last bit is 2^-28
+inline double exact(double term) { return (term + rounding) - rounding; }
+
+// Four numbers of which a processor computes all at once. Passed by reference alone: how it is passed by value differs
+// between builds.
+using Four [[gnu::vector_size(32)]] = double;
+
+// Adds a term, or four, so rounded.
+template <class T>
+void add_exact(T& sum, const T& term) {
+    sum += (term + rounding) - rounding;
 }
+inline double sum_of(const Four& terms) { return ((terms[0] + terms[1]) + terms[2]) + terms[3]; }
 
 // Angle from the x axis towards y as a share of a full turn, -0.5 to 0.5; 0 at the origin. The arctangent's own series,
 // after the angle was folded into an eighth of a half turn: as exact as is needed, without a call to a library whose

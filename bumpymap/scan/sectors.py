@@ -74,7 +74,7 @@ def polar_sectors(scan: Scan, settings: PolarSettings | None = None) -> SectorSt
     }
     points: dict[str, NDArray[Any]] = {
         "point_place": np.empty((size, 2), np.uint16),
-        "point_sector": np.empty(size, np.int32),
+        "point_sector": np.full(size, -1, np.int32),
         "point_ground": np.zeros(size, np.bool_),
         "point_airborne": np.zeros(size, np.bool_),
         "point_height": np.full(size, np.nan, np.float32),
