@@ -109,13 +109,11 @@ struct BinRings {
 
     explicit BinRings(const ZoneGrid& grid) : first(bits(square(std::max(grid.edges[0], nearest))) >> shift) {
         const double end = std::max(grid.edges[grid.sectors.size()], nearest);
-        count = of(square(end)) + 1;
+        count = parts(square(end)) / bin_parts + 1;
     }
 
     static double square(double x) { return x * x; }
     static std::int32_t bits(double r2) { return std::bit_cast<std::int32_t>(static_cast<float>(r2)); }
-
-    std::int32_t of(double r2) const { return std::max((bits(r2) >> shift) - first, 0); }
 
     // The place between rings of a squared distance, as a number and in `bin_parts`; and the distance [m] of a place.
     double place(double r2) const { return (bits(r2) - (first << shift)) / static_cast<double>(1 << shift); }
@@ -128,16 +126,7 @@ struct BinRings {
     }
 };
 
-// Calls `act` with each bin within `wide` of another one, in rings that exist; stops where it returns false.
-template <class Act>
-void around_bin(Index bin, Index wide, Index rings, Act act) {
-    const Index ring = bin / bin_columns, column = bin % bin_columns;
-    for (Index r = std::max(ring - wide, Index{0}); r <= std::min(ring + wide, rings - 1); ++r)
-        for (Index c = column - wide; c <= column + wide; ++c)
-            if ((r != ring || c != column) && !act(r * bin_columns + ((c + bin_columns) % bin_columns))) return;
-}
-
-// Classes of the ground in the bins of a frame (places.py).
+// Classes of the ground in the bins of a frame (sectors.py).
 struct ClassField {
     Array<const float, 2> says;  // (bins, classes + 1) a number for each class, and the ground points about the bin
     double least;                // of these points, where the ground is known

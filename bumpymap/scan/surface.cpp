@@ -348,12 +348,15 @@ void find_reaches(const BinRings& rings, Scratch<float>& reaches, const BinSums&
         const auto spread = [](const Spread& of, double least) { return of.scatter > least * least * of.count; };
         if (own.rising < own_share * own.count && !spread(own, plants)) continue;
         Spread all = own;
-        around_bin(bin, 1, rings.count, [&](Index other) {
-            all.count += spreads[other].count;
-            all.rising += spreads[other].rising;
-            all.scatter += spreads[other].scatter;
-            return true;
-        });
+        for (Index r = std::max(ring - 1, Index{0}); r < std::min(ring + 2, rings.count); ++r) {
+            for (Index turn = -1; turn <= 1; ++turn) {
+                const Index other = r * bin_columns + (bin % bin_columns + turn + bin_columns) % bin_columns;
+                if (other == bin) continue;
+                all.count += spreads[other].count;
+                all.rising += spreads[other].rising;
+                all.scatter += spreads[other].scatter;
+            }
+        }
         if (all.rising >= plants_share * all.count && spread(all, plants)) reaches[bin] = below_surface;
     }
 }
