@@ -50,30 +50,27 @@ constexpr double plane_pull = 1e-3, slope_pull = 0.1;
 class GroundPoints {
   public:
     Index size() const { return size_; }
-    std::int32_t pixel(Index i) const { return pixel_[i]; }
-    double above(Tilt plane, Index i) const { return plane.above(place_[0][i], place_[1][i], place_[2][i]); }
 
     // Forgets all points, and makes room for some, in fours.
     void clear(Index room) {
         size_ = 0;
-        if (pixel_.count() >= room) return;
-        for (auto& values : place_) values.resize(static_cast<std::size_t>(room + 3));
-        pixel_.resize(static_cast<std::size_t>(room));
+        for (auto& values : place_)
+            if (values.count() < room + 3) values.resize(static_cast<std::size_t>(room + 3));
     }
-    void add(double east, double north, double height, std::int32_t of) {
+    void add(double east, double north, double height) {
         place_[0][size_] = east;
         place_[1][size_] = north;
-        place_[2][size_] = height;
-        pixel_[size_++] = of;
+        place_[2][size_++] = height;
     }
     // Calls `act` with four points at a time, and with 1 for each that there is, else 0.
     template <class Act>
     void each_four(Act act) const {
+        const std::array from{place_[0].data(), place_[1].data(), place_[2].data()};
         std::array<Four, 3> four;
         for (Index i = 0; i < size_; i += 4) {
             const auto left = static_cast<double>(size_ - i);
             const Four is_there = Four{0.0, 1.0, 2.0, 3.0} < left ? Four{} + 1.0 : Four{};
-            for (std::size_t axis = 0; axis < 3; ++axis) std::memcpy(&four[axis], &place_[axis][i], sizeof(Four));
+            for (std::size_t axis = 0; axis < 3; ++axis) std::memcpy(&four[axis], from[axis] + i, sizeof(Four));
             act(is_there, four[0], four[1], four[2]);
         }
     }
@@ -92,12 +89,11 @@ class GroundPoints {
   private:
     Index size_ = 0;
     std::array<Scratch<double>, 3> place_;
-    Scratch<std::int32_t> pixel_;
 };
 
-// An image with a margin of a pixel, where all neighbours exist.
+// A heightmap in work, with a margin of a pixel, where all neighbours exist.
 struct Padded {
-    Scratch<float> height, known;  // known: 1 or 0; unknown heights are 0
+    Scratch<float> height, known, inside;  // unknown heights are 0; 1 or 0; 0 in the margin, 1 elsewhere
 };
 
 // A frame on its way through the loop: memory that is kept from scan to scan.
@@ -115,7 +111,7 @@ struct Frame {
     GroundPoints means;            // of pixels with ground points
     Scratch<std::int32_t> others;  // of its points that are not ground, and not high above it
     Scratch<float> feet;           // (pixels^2,) height of the lowest object in each, m
-    Padded image, next;            // the heightmap of the cell in work
+    Padded image;                  // of the cell in work
 };
 
 // ---- The points by cell ----
@@ -220,26 +216,26 @@ void place_points(
 constexpr Index least_ground = 10;
 // A sector's plane is that of the means by pixel of its ground, then twice that of those nearer to it than this, m.
 constexpr double near_plane = 0.1;
-// Most pixels along a side of a heightmap, as `PolarSettings` allows.
-constexpr std::size_t most_pixels = 64;
 
-// Gives unknown pixels of a row the mean of their known neighbours, without a branch: several at once; returns the
-// number of those that have any. All begin at the margin.
-std::int32_t fill_row(const float* height, const float* known, Index size, float* out_height, float* out_known) {
-    const auto wide = static_cast<std::ptrdiff_t>(size + 2);
-    std::array<float, most_pixels + 2> heights, knowns;  // sums of three pixels outwards
-    for (std::ptrdiff_t q = 0; q < wide; ++q) {
-        const auto k = static_cast<std::size_t>(q);
-        heights[k] = height[q - wide] + height[q] + height[q + wide];
-        knowns[k] = known[q - wide] + known[q] + known[q + wide];
+// Most pixels along a side of a heightmap with its margin: `PolarSettings` allows 64.
+constexpr std::size_t most_wide = 66;
+
+// Gives unknown pixels the mean of their known neighbours, without a branch: several at once; returns the number of
+// those that have any. Values as in `Padded`.
+std::int32_t fill_rim(Index wide, float* height, float* known, const float* inside) {
+    const auto all = static_cast<std::size_t>(wide * wide);
+    std::array<float, most_wide * most_wide> three_heights, three_known;  // sums of three pixels outwards
+    for (auto p = static_cast<std::size_t>(wide); p < all - wide; ++p) {
+        three_heights[p] = height[p - wide] + height[p] + height[p + wide];
+        three_known[p] = known[p - wide] + known[p] + known[p + wide];
     }
     std::int32_t filled = 0;
-    for (std::size_t q = 1; q <= static_cast<std::size_t>(size); ++q) {
-        const float total = heights[q - 1] + heights[q] + heights[q + 1];
-        const float count = knowns[q - 1] + knowns[q] + knowns[q + 1];
-        const bool fills = (known[q] == 0.0F) & (count > 0.0F);
-        out_height[q] = fills ? total / count : height[q];
-        out_known[q] = fills ? 1.0F : known[q];
+    for (auto p = static_cast<std::size_t>(wide + 1); p < all - wide - 1; ++p) {
+        const float total = three_heights[p - 1] + three_heights[p] + three_heights[p + 1];
+        const float count = (three_known[p - 1] + three_known[p] + three_known[p + 1]) * inside[p];
+        const bool fills = (known[p] == 0.0F) & (count > 0.0F);
+        height[p] = fills ? total / count : height[p];
+        known[p] = fills ? 1.0F : known[p];
         filled += fills ? 1 : 0;
     }
     return filled;
@@ -248,23 +244,20 @@ std::int32_t fill_row(const float* height, const float* known, Index size, float
 // Writes the mean height over a plane of every pixel, and into empty ones, from the rim inwards, the mean of their
 // known neighbours.
 void fill_heights(Tilt plane, Array<float, 2> heights, Frame& s) {
-    const Index size = heights.shape[0], wide = size + 2, held = s.means.size();
-    Padded &image = s.image, &next = s.next;
-    for (auto* values : {&image.height, &image.known}) renew(*values, wide * wide);
-    for (Index k = 0; k < held; ++k) {
-        const Index p = (s.means.pixel(k) / size + 1) * wide + s.means.pixel(k) % size + 1;
-        image.height[p] = static_cast<float>(s.means.above(plane, k));
-        image.known[p] = 1.0F;
+    const Index size = heights.shape[0], wide = size + 2;
+    auto& [height, known, inside] = s.image;
+    for (auto* values : {&height, &known, &inside}) renew(*values, wide * wide);
+    for (Index k = 0; k < size * size; ++k) {
+        const Index p = (k / size + 1) * wide + k % size + 1;
+        inside[p] = 1.0F;
+        if (s.sums[k][0] == 0.0) continue;
+        const Four mean = s.sums[k] / s.sums[k][0];
+        height[p] = static_cast<float>(plane.above(mean[1], mean[2], mean[3]));
+        known[p] = 1.0F;
     }
-    next = image;
-    for (Index missing = size * size - held; missing > 0; std::swap(image, next)) {
-        for (Index row = 0; row < size; ++row) {
-            const Index p = (row + 1) * wide;
-            missing -= fill_row(&image.height[p], &image.known[p], size, &next.height[p], &next.known[p]);
-        }
-    }
-    for (Index row = 0; row < size; ++row)
-        std::copy_n(&image.height[(row + 1) * wide + 1], size, heights.at(row).begin());
+    for (Index missing = size * size - s.means.size(); missing > 0;)
+        missing -= fill_rim(wide, height.data(), known.data(), inside.data());
+    for (Index row = 0; row < size; ++row) std::copy_n(&height[(row + 1) * wide + 1], size, heights.at(row).begin());
 }
 
 // Measures the ground of a sector: normal, spread, heightmap; returns its plane. `around`: the ground around it;
@@ -273,8 +266,9 @@ Tilt measure_ground(Tilt around, Tilt whole, const ScanRule& rule, Index row, co
     const Index size = s.ground.size(), pixels = rule.pixels * rule.pixels;
     s.means.clear(pixels);
     for (Index k = 0; k < pixels; ++k) {
-        const Four& sum = s.sums[k];
-        if (sum[0] > 0.0) s.means.add(sum[1] / sum[0], sum[2] / sum[0], sum[3] / sum[0], static_cast<std::int32_t>(k));
+        if (s.sums[k][0] == 0.0) continue;
+        const Four mean = s.sums[k] / s.sums[k][0];
+        s.means.add(mean[1], mean[2], mean[3]);
     }
     const Tilt all = s.ground.fit({}, infinite),
                plane = s.means.fit(s.means.fit(s.means.fit({}, infinite), near_plane), near_plane);
@@ -372,7 +366,7 @@ void measure_cell(
         add_exact(measures[1], Four{place[4], place[5], place[6], place[7]});
         if (is_ground) {
             const double over = around.above(x, y, z);
-            s.ground.add(x, y, over, pixel);
+            s.ground.add(x, y, over);
             add_exact(s.sums[pixel], Four{1.0, x, y, over});
             continue;
         }
