@@ -98,8 +98,8 @@ struct Padded {
 
 // A frame on its way through the loop: memory that is kept from scan to scan.
 struct Frame {
-    Scratch<std::int32_t> cell;                           // (scan's points,) -1 outside of the grid
-    Scratch<std::array<std::uint16_t, 2>> pixel_and_bin;  // the same
+    Scratch<std::int32_t> cell;    // (scan's points,) -1 outside of the grid
+    Scratch<PointPlace> place;     // the same
     Scratch<Index> starts;         // (cells + 2,) cell c has the points from `starts[c]` to `starts[c + 1]`
     PlacedPoints points;           // by cell
     Scratch<float> height, reach;  // see `find_surface`
@@ -180,7 +180,7 @@ void place_points(
     const Index size = points.shape[0];
     PointBlock block;
     s.cell.resize(static_cast<std::size_t>(size));
-    s.pixel_and_bin.resize(static_cast<std::size_t>(size));
+    s.place.resize(static_cast<std::size_t>(size));
     renew(s.starts, zones.back().end() + 2);
     for (Index p = 0; p < size; ++p) {
         const auto i = static_cast<std::size_t>(p % block_points);
@@ -197,16 +197,20 @@ void place_points(
         const auto [cell, pixel] = zones[zone].at(block.away[i], block.turn[i], static_cast<std::int32_t>(pixels));
         const Index bin = place(p, 0) / bin_parts * bin_columns + place(p, 1) / bin_parts;
         s.cell[p] = cell;
-        s.pixel_and_bin[p] = {static_cast<std::uint16_t>(pixel), static_cast<std::uint16_t>(bin)};
+        s.place[p] = {static_cast<std::uint16_t>(pixel), static_cast<std::uint16_t>(bin)};
         ++s.starts[cell + 2];
     }
     for (Index c = 2; c < s.starts.count(); ++c) s.starts[c] += s.starts[c - 1];
-    s.points.resize(static_cast<std::size_t>(s.starts.back()));
+    s.points.point.resize(static_cast<std::size_t>(s.starts.back()));
+    s.points.place.resize(s.points.point.size());
+    renew(s.points.lowest, rings.count * bin_columns, std::numeric_limits<float>::infinity());
     for (Index p = 0; p < size; ++p) {
         if (s.cell[p] < 0) continue;
-        const auto [pixel, bin] = s.pixel_and_bin[p];
-        s.points[s.starts[s.cell[p] + 1]++] = {points(p, 0), points(p, 1), points(p, 2), static_cast<std::int32_t>(p),
-                                               pixel,        bin};
+        const Index to = s.starts[s.cell[p] + 1]++;
+        s.points.point[to] = {points(p, 0), points(p, 1), points(p, 2), static_cast<std::int32_t>(p)};
+        s.points.place[to] = s.place[p];
+        float& lowest = s.points.lowest[s.place[p].bin];
+        lowest = std::min(lowest, points(p, 2));
     }
 }
 
@@ -353,7 +357,8 @@ void measure_cell(
     s.others.clear();
     const bool is_row = end - begin > rule.least_points;
     for (Index i = begin; i < end; ++i) {
-        const auto [x, y, z, number, pixel, bin] = s.points[i];
+        const auto [x, y, z, number] = s.points.point[i];
+        const auto [pixel, bin] = s.points.place[i];
         const float h = s.height[i];
         const bool is_ground = below_surface < h && h < s.reach[bin];
         of.point_height[number] = h;
@@ -385,9 +390,8 @@ void measure_cell(
     if (!s.others.empty()) leave_out_airborne(objects, beside_m + beside_per_metre * away, rule.pixels);
     for (const Index i : s.others) {
         const float h = s.height[i];
-        const PlacedPoint& p = s.points[i];
-        if (objects.count[p.pixel] == 0.0F) {
-            of.point_airborne[p.number] = true;
+        if (objects.count[s.points.place[i].pixel] == 0.0F) {
+            of.point_airborne[s.points.point[i].number] = true;
         } else if (belly <= h && h < height) {
             ++obstacles;
             highest_obstacle = std::max(highest_obstacle, h);

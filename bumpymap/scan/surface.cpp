@@ -15,7 +15,6 @@ namespace {
 
 // Sums by bin: memory that is kept from scan to scan.
 struct BinSums {
-    Scratch<float> lowest;          // z of the lowest point, m
     Scratch<Four> layer;            // number of points in the layer, sums of x, y and z, m
     Scratch<std::int32_t> stacked;  // points not far over the layer
     Scratch<Tilt> planes;           // that touch the surface
@@ -51,14 +50,14 @@ constexpr float layer_m = 0.12F, stack_m = 0.8F;
 // Finds the layer of every bin.
 Layers find_layers(const PlacedPoints& points, const BinRings& rings, BinSums& s) {
     const Index bins = rings.count * bin_columns;
-    renew(s.lowest, bins, std::numeric_limits<float>::infinity());
     renew(s.layer, bins);
     renew(s.stacked, bins);
-    for (const PlacedPoint& p : points) s.lowest[p.bin] = std::min(s.lowest[p.bin], p.z);
-    for (const PlacedPoint& p : points) {
-        const float over = p.z - s.lowest[p.bin];
-        if (over < layer_m) add_exact(s.layer[p.bin], Four{1.0, p.x, p.y, p.z});
-        s.stacked[p.bin] += (over >= layer_m) & (over < layer_m + stack_m);
+    for (Index i = 0; i < points.count(); ++i) {
+        const ScanPoint& p = points.point[i];
+        const Index bin = points.place[i].bin;
+        const float over = p.z - points.lowest[bin];
+        if (over < layer_m) add_exact(s.layer[bin], Four{1.0, p.x, p.y, p.z});
+        s.stacked[bin] += (over >= layer_m) & (over < layer_m + stack_m);
     }
     Layers out;
     for (Index bin = 0; bin < bins; ++bin) {
@@ -284,20 +283,21 @@ bool find_heights(
     const PlacedPoints& points, const Layers& layers, const Level& surface, Scratch<float>& heights, BinSums& s) {
     s.planes.resize(s.layer.size());
     renew(s.ground, s.layer.count());
-    heights.resize(points.size());
+    heights.resize(points.point.size());
     for (Index i = 0; i < layers.size(); ++i) {
         const auto [ring, column] = layers.middle(i);
         s.planes[layers.bin[i]] = surface.at(ring, column);
     }
     Index higher = 0, lower = 0;
     for (Index i = 0; i < points.count(); ++i) {
-        const PlacedPoint& p = points[i];
-        const auto h = static_cast<float>(s.planes[p.bin].above(p.x, p.y, p.z));
+        const ScanPoint& p = points.point[i];
+        const Index bin = points.place[i].bin;
+        const auto h = static_cast<float>(s.planes[bin].above(p.x, p.y, p.z));
         heights[i] = h;
         higher += h > stands;
         lower += h < -stands;
         const double is_near = (below_surface < h) & (h < near_surface) ? 1.0 : 0.0, high = is_near * h;
-        add_exact(s.ground[p.bin], Four{is_near, high, high * h, (h >= near_surface) & (h < plants_top) ? 1.0 : 0.0});
+        add_exact(s.ground[bin], Four{is_near, high, high * h, (h >= near_surface) & (h < plants_top) ? 1.0 : 0.0});
     }
     return higher <= lower;
 }
@@ -410,7 +410,7 @@ void measure_places(
     renew(ground, out.shape[0]);
     renew(others, out.shape[0]);
     for (Index i = 0; i < points.count(); ++i) {
-        const Index bin = points[i].bin;
+        const Index bin = points.place[i].bin;
         const float h = heights[i];
         if (below_surface < h && h < reaches[bin]) {
             add_exact(ground[bin], Four{1.0, h, static_cast<double>(h) * h, 0.0});

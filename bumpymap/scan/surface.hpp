@@ -5,13 +5,23 @@
 
 namespace bumpy {
 
-// A point on the polar grid.
-struct PlacedPoint {
-    float x, y, z;             // m
-    std::int32_t number;       // in the scan
-    std::uint16_t pixel, bin;  // `row * pixels + column` in its cell; small bin that it lies in
+// A point of the scan, m, and its place: `row * pixels + column` in its cell, and the small bin that it lies in.
+struct ScanPoint {
+    float x, y, z;
+    std::int32_t number;  // in the scan
 };
-using PlacedPoints = Scratch<PlacedPoint>;
+struct PointPlace {
+    std::uint16_t pixel, bin;
+};
+
+// Points on the polar grid, side by side by cell.
+struct PlacedPoints {
+    Scratch<ScanPoint> point;
+    Scratch<PointPlace> place;
+    Scratch<float> lowest;  // (bins,) z of the lowest point in each, m
+
+    Index count() const { return point.count(); }
+};
 
 // A plane by its slope along x and y, and its height at the origin, m.
 struct Tilt {
