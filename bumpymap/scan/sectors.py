@@ -55,11 +55,6 @@ class ZoneGrid(NamedTuple):
         edges, sectors = np.array([*settings.zone_starts_m, settings.end_m]), np.array(settings.sectors, np.int64)
         return cls(edges, sectors, np.array(settings.rings, np.int64), start)
 
-    @property
-    def bins(self) -> int:
-        """Number of small bins around the sensor."""
-        return int(loops.count_bins(self))
-
 
 def polar_sectors(scan: Scan, settings: PolarSettings | None = None) -> SectorStack:
     """Cut a scan into sectors, find the ground in those that hold enough points, and measure it.
@@ -90,7 +85,7 @@ def polar_sectors(scan: Scan, settings: PolarSettings | None = None) -> SectorSt
         "point_ground": np.zeros(size, np.bool_),
         "point_airborne": np.zeros(size, np.bool_),
         "point_height": np.full(size, np.nan, np.float32),
-        "places": np.empty((grid.bins, PLACE_MEASURES + 1), np.float32),
+        "places": np.empty((loops.count_bins(grid), PLACE_MEASURES + 1), np.float32),
     }
     height = np.empty(1)
     scene = np.ascontiguousarray(scan.points, np.float32)
