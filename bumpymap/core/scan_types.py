@@ -286,7 +286,7 @@ class ClassedSectors:
     method: ScanMethod
     """Method that classified the sectors."""
     field: NDArray[np.float32]
-    """(bins, CLASSES + 1) the class of the ground in the bins of ``sectors.places``: see ``scan/places.py``."""
+    """(bins, CLASSES + 1) the class of the ground in the bins of ``sectors.places``: see ``scan/sectors.py``."""
     point_class: NDArray[np.uint8]
     """(m,) class of the ground at each point of the scan; ``NOT_TRAVERSABLE`` where none is known."""
     confidence: NDArray[np.float32] | None = None

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CLASSES, FAIL_SHARE, NOT_TRAVERSABLE, ClassedSectors, GridSettings, GroundGrid, loops
 from bumpymap.scan.align import judge_by_view
-from bumpymap.scan.places import class_field
-from bumpymap.scan.sectors import ZoneGrid
+from bumpymap.scan.sectors import ZoneGrid, class_field
 
 _OCCUPANCY = np.array([0, 33, 66, 100, -1], np.int8)
 """Occupancy of ground of class 0 (smooth), 1 (fair) and 2 (rough), of what is not traversable, and of the unknown."""

@@ -9,6 +9,7 @@ as the sectors around it: there, what the neighbours say counts between smooth a
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from bumpymap.core import (
     PolarSettings,
     SectorStack,
     UsageError,
+    cell_numbers,
     check_network,
     metadata_of,
     read_network,
@@ -29,8 +31,7 @@ from bumpymap.core import (
     session,
     shipped_network,
 )
-from bumpymap.scan.places import with_places
-from bumpymap.scan.sectors import open_neighbours
+from bumpymap.scan.sectors import OPEN_SHARE, with_places
 
 SECTOR_VERSION = 3
 """Version of ``network_input``. After a change networks must be trained again."""
@@ -55,6 +56,8 @@ MEASURES = (
 )
 """Scalar inputs of the network, which the filled and scaled images do not show. ``ground``, ``obstacles`` and
 ``overhead`` are shares of the sector's points."""
+_NEIGHBOURS = 8
+"""Most neighbours of a cell."""
 _NEIGHBOURS_WEIGHT, _LEAST_PROBABILITY = 1.5, 1e-3
 """Weight of the mean log-odds of the neighbours against the sector's own, and least probability that they are taken of
 (chosen)."""
@@ -195,7 +198,11 @@ def _with_neighbours(stack: SectorStack, probability: NDArray[np.float32]) -> ND
 
     The odds of class 2 stay: a single obstacle must not be outvoted.
     """
-    is_open, near = open_neighbours(stack)
+    is_open = stack.traversable & (stack.ground_count >= OPEN_SHARE * stack.count)
+    around, cell = neighbours(stack.settings), cell_numbers(stack)
+    row = np.full(len(around) + 1, len(cell), np.int32)  # the last one is for neighbours that do not exist
+    row[cell[is_open]] = np.flatnonzero(is_open)
+    near = row[around[cell]]
     smooth, fair = np.maximum(probability[is_open, :2], _LEAST_PROBABILITY).T
     own, odds = np.log(fair / smooth), np.zeros(len(is_open) + 1, np.float32)
     odds[:-1][is_open], near = own, near[is_open]
@@ -205,6 +212,23 @@ def _with_neighbours(stack: SectorStack, probability: NDArray[np.float32]) -> ND
     shared[is_open, 0] = either / (1.0 + np.exp(own + _NEIGHBOURS_WEIGHT * mean))
     shared[is_open, 1] = either - shared[is_open, 0]
     return shared
+
+
+@cache
+def neighbours(settings: PolarSettings) -> NDArray[np.int64]:
+    """Return the cells around each cell (cells, _NEIGHBOURS): three inwards, two beside, three outwards; -1: none."""
+    counts = np.repeat(settings.sectors, settings.rings)  # cells of each ring
+    starts = np.cumsum(counts) - counts
+    line = np.repeat(np.arange(len(counts)), counts)
+    turn = (np.arange(len(line)) - starts[line] + 0.5) / counts[line]
+    near = np.full((len(line), _NEIGHBOURS), -1)
+    for column, step, beside in ((0, -1, (-1, 0, 1)), (3, 0, (-1, 1)), (5, 1, (-1, 0, 1))):
+        there = (line + step >= 0) & (line + step < len(counts))
+        to = (line + step)[there]
+        opposite = (turn[there] * counts[to]).astype(int)
+        for k, side in enumerate(beside):
+            near[there, column + k] = starts[to] + (opposite + side) % counts[to]
+    return near
 
 
 def probabilities(stack: SectorStack, model: ScanModel) -> NDArray[np.float32]:

@@ -21,7 +21,7 @@ constexpr double infinite = std::numeric_limits<double>::infinity();
 // Memory of a loop, indexed as an `Array` is.
 template <class T>
 struct Scratch : std::vector<T> {
-    explicit Scratch(Index size = 0, T value = {}) : std::vector<T>(static_cast<std::size_t>(size), value) {}
+    explicit Scratch(Index size = 0, const T& value = T{}) : std::vector<T>(static_cast<std::size_t>(size), value) {}
 
     Index count() const { return static_cast<Index>(this->size()); }
     T& operator[](Index i) { return std::vector<T>::operator[](static_cast<std::size_t>(i)); }
@@ -37,7 +37,7 @@ T& kept_memory() {
 
 // Fills memory that is kept from scan to scan, so that the system need not give it anew.
 template <class T>
-void renew(Scratch<T>& kept, Index size, T value = {}) {
+void renew(Scratch<T>& kept, Index size, const T& value = T{}) {
     kept.assign(static_cast<std::size_t>(size), value);
 }
 
@@ -52,10 +52,19 @@ constexpr std::uint16_t no_place = 65535;
 
 // A number rounded to a multiple of 2^-28: sums of such terms are exact below 2^25, so that the order of the points of
 // a scan does not matter. For numbers up to 2^23.
-inline double exact(double term) {
-    constexpr double rounding = 3.0 * (1 << 23);  // its last bit is 2^-28
-    return (term + rounding) - rounding;
+constexpr double rounding = 3.0 * (1 << 23);  // its last bit is 2^-28
+inline double exact(double term) { return (term + rounding) - rounding; }
+
+// Four numbers of which a processor computes all at once. Passed by reference alone: how it is passed by value differs
+// between builds.
+using Four [[gnu::vector_size(32)]] = double;
+
+// Adds a term, or four, so rounded.
+template <class T>
+void add_exact(T& sum, const T& term) {
+    sum += (term + rounding) - rounding;
 }
+inline double sum_of(const Four& terms) { return ((terms[0] + terms[1]) + terms[2]) + terms[3]; }
 
 // Angle from the x axis towards y as a share of a full turn, -0.5 to 0.5; 0 at the origin. The arctangent's own series,
 // after the angle was folded into an eighth of a half turn: as exact as is needed, without a call to a library whose
@@ -100,13 +109,11 @@ struct BinRings {
 
     explicit BinRings(const ZoneGrid& grid) : first(bits(square(std::max(grid.edges[0], nearest))) >> shift) {
         const double end = std::max(grid.edges[grid.sectors.size()], nearest);
-        count = of(square(end)) + 1;
+        count = parts(square(end)) / bin_parts + 1;
     }
 
     static double square(double x) { return x * x; }
     static std::int32_t bits(double r2) { return std::bit_cast<std::int32_t>(static_cast<float>(r2)); }
-
-    std::int32_t of(double r2) const { return std::max((bits(r2) >> shift) - first, 0); }
 
     // The place between rings of a squared distance, as a number and in `bin_parts`; and the distance [m] of a place.
     double place(double r2) const { return (bits(r2) - (first << shift)) / static_cast<double>(1 << shift); }
@@ -119,16 +126,7 @@ struct BinRings {
     }
 };
 
-// Calls `act` with each bin within `wide` of another one, in rings that exist; stops where it returns false.
-template <class Act>
-void around_bin(Index bin, Index wide, Index rings, Act act) {
-    const Index ring = bin / bin_columns, column = bin % bin_columns;
-    for (Index r = std::max(ring - wide, Index{0}); r <= std::min(ring + wide, rings - 1); ++r)
-        for (Index c = column - wide; c <= column + wide; ++c)
-            if ((r != ring || c != column) && !act(r * bin_columns + ((c + bin_columns) % bin_columns))) return;
-}
-
-// Classes of the ground in the bins of a frame (places.py).
+// Classes of the ground in the bins of a frame (sectors.py).
 struct ClassField {
     Array<const float, 2> says;  // (bins, classes + 1) a number for each class, and the ground points about the bin
     double least;                // of these points, where the ground is known

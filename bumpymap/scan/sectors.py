@@ -1,4 +1,4 @@
-"""From a scan to measured sectors of the concentric-zone polar grid: their ground, and the objects on it.
+"""From a scan to measured sectors of the concentric-zone polar grid, and from their classes to those of all places.
 
 The ground is a smooth surface, found from small bins around the sensor, so that it is the same wherever sectors lie.
 The origin may be at the sensor, the robot's base or below it, and the frame may lean. A scan that hangs from its ground
@@ -7,21 +7,33 @@ has none: its z axis points down.
 Sectors are fixed fractions of a turn, so the ground is divided differently when the robot turns by part of a sector.
 Where its heading is known, the grid keeps its directions: sector 0 starts at heading 0. A direction that is found from
 the points themselves is no substitute: in a straight street their mean wanders by 20 degrees from frame to frame.
+
+A sector has one class, and another one if the robot turns by part of it. What is measured in small bins about a place
+(`SectorStack.places`) hardly changes. So the classes of the sectors, or their probabilities, are fitted as linear
+functions of the means of these measures, by least squares over the frame; the functions then give the class of every
+point and cell. Hundreds of sectors decide together, and a single one moves no border.
 """
 
 import math
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, PolarSettings, Scan, SectorStack, cell_numbers, loops
+from bumpymap.core import (
+    CLASSES,
+    NOT_TRAVERSABLE,
+    BadInputError,
+    ClassedSectors,
+    PolarSettings,
+    Scan,
+    ScanMethod,
+    SectorStack,
+    loops,
+)
 
 PLACE_MEASURES = 7
 """Number of measures of a bin: see sectors.cpp."""
-NEIGHBOURS = 8
-"""Most neighbours of a cell."""
 _LABELS = 32_768
 """Number of labels that 16 bits with a sign hold."""
 
@@ -42,11 +54,6 @@ class ZoneGrid(NamedTuple):
         """Return the grid of some settings."""
         edges, sectors = np.array([*settings.zone_starts_m, settings.end_m]), np.array(settings.sectors, np.int64)
         return cls(edges, sectors, np.array(settings.rings, np.int64), start)
-
-    @property
-    def bins(self) -> int:
-        """Number of small bins around the sensor."""
-        return int(loops.count_bins(self))
 
 
 def polar_sectors(scan: Scan, settings: PolarSettings | None = None) -> SectorStack:
@@ -74,11 +81,11 @@ def polar_sectors(scan: Scan, settings: PolarSettings | None = None) -> SectorSt
     }
     points: dict[str, NDArray[Any]] = {
         "point_place": np.empty((size, 2), np.uint16),
-        "point_sector": np.empty(size, np.int32),
+        "point_sector": np.full(size, -1, np.int32),
         "point_ground": np.zeros(size, np.bool_),
         "point_airborne": np.zeros(size, np.bool_),
         "point_height": np.full(size, np.nan, np.float32),
-        "places": np.empty((grid.bins, PLACE_MEASURES + 1), np.float32),
+        "places": np.empty((loops.count_bins(grid), PLACE_MEASURES + 1), np.float32),
     }
     height = np.empty(1)
     scene = np.ascontiguousarray(scan.points, np.float32)
@@ -116,29 +123,51 @@ def _labels(scan: Scan, point_sector: NDArray[np.int32], sectors: int) -> NDArra
 
 OPEN_SHARE = 0.55
 """Least share of ground among the points of an open sector, whose ground alone makes its class (chosen)."""
+_PULL = 10.0
+"""Sectors that would say the mean of all, whatever is measured there: where few were measured, they decide (chosen)."""
+_LEAST_SPREAD = 0.02
+"""Spread of a measure over the sectors that means nothing (chosen)."""
+_AT_ONCE = 128
+"""Bins of one matrix product: those of a ring."""
+_LEAST_GROUND = 0.004
+"""Least weight of the ground points about a place whose ground is known: of one that is two bins away (chosen)."""
 
 
-def open_neighbours(stack: SectorStack) -> tuple[NDArray[np.bool_], NDArray[np.int32]]:
-    """Return which sectors are open (n,), and rows of the open ones around each (n, NEIGHBOURS); n where none is."""
-    near, cell = neighbours(stack.settings), cell_numbers(stack)
-    is_open: NDArray[np.bool_] = stack.traversable & (stack.ground_count >= OPEN_SHARE * stack.count)
-    row = np.full(len(near) + 1, len(cell), np.int32)  # the last one is for neighbours that do not exist
-    row[cell[is_open]] = np.flatnonzero(is_open)
-    return is_open, row[near[cell]]
+def with_places(
+    stack: SectorStack,
+    class_id: NDArray[np.uint8],
+    stripes: NDArray[np.float32] | None,
+    method: ScanMethod,
+    says: NDArray[np.floating],
+    confidence: NDArray[np.float32] | None = None,
+) -> ClassedSectors:
+    """Return classified sectors with the classes of all places; ``says`` (n, CLASSES): share of each class in them."""
+    known = np.flatnonzero(stack.traversable)
+    field = np.zeros((len(stack.places), CLASSES + 1), np.float32)
+    if len(known):
+        slopes = _fit(stack.measures[known], says[known], np.sqrt(stack.count[known])).astype(np.float32)
+        linear = np.zeros((stack.places.shape[1], CLASSES + 1), np.float32)
+        linear[:-1, :-1], linear[-1, -1] = slopes[:-1], 1.0
+        # In parts: for a larger product the library would start threads.
+        field = (stack.places.reshape(-1, _AT_ONCE, len(linear)) @ linear).reshape(field.shape)
+        field[:, :-1] += slopes[-1]
+    point_class = np.empty(len(stack.point_place), np.uint8)
+    loops.find_classes(stack.point_place, class_field(field), point_class)
+    return ClassedSectors(stack, class_id, stripes, method, field, point_class, confidence)
 
 
-@cache
-def neighbours(settings: PolarSettings) -> NDArray[np.int64]:
-    """Return the cells around each cell (cells, NEIGHBOURS): three inwards, two beside, three outwards; -1: none."""
-    counts = np.repeat(settings.sectors, settings.rings)  # cells of each ring
-    starts = np.cumsum(counts) - counts
-    line = np.repeat(np.arange(len(counts)), counts)
-    turn = (np.arange(len(line)) - starts[line] + 0.5) / counts[line]
-    near = np.full((len(line), NEIGHBOURS), -1)
-    for column, step, beside in ((0, -1, (-1, 0, 1)), (3, 0, (-1, 1)), (5, 1, (-1, 0, 1))):
-        there = (line + step >= 0) & (line + step < len(counts))
-        to = (line + step)[there]
-        opposite = (turn[there] * counts[to]).astype(int)
-        for k, side in enumerate(beside):
-            near[there, column + k] = starts[to] + (opposite + side) % counts[to]
-    return near
+def class_field(field: NDArray[np.float32]) -> dict[str, Any]:
+    """Return the field of a frame, as the loops read it."""
+    return {"says": field, "least": _LEAST_GROUND, "unknown": NOT_TRAVERSABLE}
+
+
+def _fit(measures: NDArray[np.float64], says: NDArray[np.floating], weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Fit what sectors say (n, CLASSES) to their measures (n, m); return the slopes and constants (m + 1, CLASSES)."""
+    weight = weight / weight.mean()
+    middle, mean = (np.average(values, 0, weight) for values in (measures, says))
+    spread = measures.std(axis=0) + _LEAST_SPREAD
+    terms = (measures - middle) / spread
+    # Without a product of matrices, whose library would start threads.
+    squares = np.einsum("nf,n,ng->fg", terms, weight, terms) + _PULL * np.eye(len(middle))
+    slopes = np.linalg.solve(squares, np.einsum("nf,n,nc->fc", terms, weight, says - mean)) / spread[:, None]
+    return np.vstack([slopes, mean - middle @ slopes])

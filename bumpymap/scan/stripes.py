@@ -25,8 +25,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from bumpymap.core import CLASSES, NOT_TRAVERSABLE, ClassedSectors, PolarSettings, SectorStack, UsageError, parse_json
-from bumpymap.scan.places import with_places
-from bumpymap.scan.sectors import OPEN_SHARE
+from bumpymap.scan.sectors import OPEN_SHARE, with_places
 
 _BLOCKED_SHARE = 0.45
 """Least share of obstacles among the points that are not ground, of a sector that is not open, for class 2 (chosen)."""

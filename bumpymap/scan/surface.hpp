@@ -1,71 +1,66 @@
-// The ground of a scan as a smooth surface over small bins around the sensor, see surface.cpp.
+// The points of a scan on the polar grid, and their ground as a smooth surface over small bins, see surface.cpp.
 #pragma once
 
 #include "polar.hpp"
 
 namespace bumpy {
 
-// A point on the polar grid.
-struct PlacedPoint {
-    float x, y, z;                    // m
-    std::int32_t number, pixel, bin;  // in the scan; `row * pixels + column` in its cell; small bin that it lies in
+// A point of the scan, m, and its place: `row * pixels + column` in its cell, and the small bin that it lies in.
+struct ScanPoint {
+    float x, y, z;
+    std::int32_t number;  // in the scan
 };
-using PlacedPoints = Scratch<PlacedPoint>;
+struct PointPlace {
+    std::uint16_t pixel, bin;
+};
+
+// Points on the polar grid, side by side by cell.
+struct PlacedPoints {
+    Scratch<ScanPoint> point;
+    Scratch<PointPlace> place;
+    Scratch<float> lowest;  // (bins,) z of the lowest point in each, m
+
+    Index count() const { return point.count(); }
+};
 
 // A plane by its slope along x and y, and its height at the origin, m.
 struct Tilt {
     double a = 0.0, b = 0.0, c = 0.0;
 
-    double height(double x, double y) const { return a * x + b * y + c; }
-    double above(double x, double y, double z) const { return z - height(x, y); }
+    double above(double x, double y, double z) const { return z - (a * x + b * y + c); }
 };
 
-// Weighted sums of a fit of heights over a place; exact, in any order.
-struct Sums {
-    double n = 0.0, x = 0.0, y = 0.0, xx = 0.0, xy = 0.0, yy = 0.0, h = 0.0, xh = 0.0, yh = 0.0;
+// Weighted sums of fits of heights over a place; exact, in any order.
+template <class T>
+struct FitSums {
+    std::array<T, 9> of = {};
 
-    void add(double weight, double u, double v, double height) {
-        const double wu = weight * u, wv = weight * v;
-        n += exact(weight);
-        x += exact(wu);
-        y += exact(wv);
-        xx += exact(wu * u);
-        xy += exact(wu * v);
-        yy += exact(wv * v);
-        h += exact(weight * height);
-        xh += exact(wu * height);
-        yh += exact(wv * height);
+    void add(const T& weight, const T& x, const T& y, const T& height) {
+        const T wx = weight * x, wy = weight * y;
+        const std::array<T, 9> terms{weight, wx, wy, wx * x, wx * y, wy * y, weight * height, wx * height, wy * height};
+        for (std::size_t i = 0; i < terms.size(); ++i) add_exact(of[i], terms[i]);
     }
-
-    // The plane of least squares, pulled to zero with the weight of some points there and a metre from it.
-    Tilt solve(double at, double slope) const {
-        const double nn = n + at, uu = xx + slope, vv = yy + slope;
-        const double xu = uu - x * x / nn, xv = xy - x * y / nn, yv = vv - y * y / nn;
-        const double hu = xh - x * h / nn, hv = yh - y * h / nn;
-        const double det = xu * yv - xv * xv;
-        const double a = (hu * yv - hv * xv) / det, b = (hv * xu - hu * xv) / det;
-        return {a, b, (h - a * x - b * y) / nn};
+    // Adds the sums of one of four places.
+    void add(const FitSums<Four>& four, std::size_t place) {
+        for (std::size_t i = 0; i < of.size(); ++i) of[i] += four.of[i][place];
     }
 };
 
-// The layers of the bins that have one, inwards first: their lowest points, which may be ground.
-struct Layers {
-    Scratch<double> x, y, z, r;     // mean of the points, distance, m
-    Scratch<double> weight, share;  // by their number; of the points of the bin that are in it, or not far over it
-    Scratch<std::int32_t> bin;
-
-    Index size() const { return x.count(); }
-
-    // The middle of a layer's bin, in bins outwards and around.
-    std::array<double, 2> middle(Index i) const {
-        return {static_cast<double>(bin[i] / bin_columns) + 0.5, static_cast<double>(bin[i] % bin_columns) + 0.5};
-    }
-};
+// The plane of least squares, pulled to zero with the weight of some points there and a metre from it.
+inline Tilt fit_plane(const FitSums<double>& sums, double at, double slope) {
+    const auto [n, x, y, xx, xy, yy, h, xh, yh] = sums.of;
+    const double nn = n + at, uu = xx + slope, vv = yy + slope;
+    const double xu = uu - x * x / nn, xv = xy - x * y / nn, yv = vv - y * y / nn;
+    const double hu = xh - x * h / nn, hv = yh - y * h / nn;
+    const double det = xu * yv - xv * xv;
+    const double a = (hu * yv - hv * xv) / det, b = (hv * xu - hu * xv) / det;
+    return {a, b, (h - a * x - b * y) / nn};
+}
 
 // The four windows around a place, and their weights there.
 struct Windows {
     std::array<Index, 4> number;
-    std::array<double, 4> weight;
+    Four weight;
 };
 
 // A level of the surface: a plane for each of its overlapping windows.
@@ -79,16 +74,16 @@ class Level {
 
     // The windows around a place in bins outwards and around.
     Windows around(double ring, double column) const {
-        const double size = static_cast<double>(step_);
-        const double out = std::clamp(ring / size + 0.5, 0.0, static_cast<double>(rows_ - 1));
-        const double turn = column / size - 0.5 + static_cast<double>(columns_);
+        const double shrink = 1.0 / static_cast<double>(step_);  // exact: steps are powers of two
+        const double out = std::clamp(ring * shrink + 0.5, 0.0, static_cast<double>(rows_ - 1));
+        const double turn = column * shrink - 0.5 + static_cast<double>(columns_);
         const Index row = std::min(static_cast<Index>(out), rows_ - 2), left = static_cast<Index>(turn);
         const double far = out - static_cast<double>(row), right = turn - static_cast<double>(left);
-        const Index begin = row * columns_, a = left % columns_, b = (left + 1) % columns_;
+        const Index begin = row * columns_, a = left & (columns_ - 1), b = (left + 1) & (columns_ - 1);
         const double near = 1.0 - far, left_of = 1.0 - right;
         return {
             {begin + a, begin + b, begin + columns_ + a, begin + columns_ + b},
-            {near * left_of, near * right, far * left_of, far * right}};
+            Four{near * left_of, near * right, far * left_of, far * right}};
     }
 
     // The middle of a window in bins outwards and around.
@@ -98,23 +93,15 @@ class Level {
         return {(row - 0.5) * size, (column + 0.5) * size};
     }
 
-    // The same in m.
-    std::array<double, 2> centre(Index window, const BinRings& rings) const {
-        const auto [ring, column] = middle(window);
-        const double r = rings.distance(ring), turn = column * (2.0 * std::numbers::pi / bin_columns);
-        return {r * std::cos(turn), r * std::sin(turn)};
-    }
-
     // The plane around a place in bins outwards and around.
-    Tilt at(double ring, double column) const { return blend(around(ring, column)); }
-
-    Tilt blend(const Windows& at) const {
+    Tilt at(double ring, double column) const {
+        const Windows windows = around(ring, column);
         Tilt out;
         for (std::size_t k = 0; k < 4; ++k) {
-            const Tilt& plane = planes[at.number[k]];
-            out.a += at.weight[k] * plane.a;
-            out.b += at.weight[k] * plane.b;
-            out.c += at.weight[k] * plane.c;
+            const Tilt& plane = planes[windows.number[k]];
+            out.a += windows.weight[k] * plane.a;
+            out.b += windows.weight[k] * plane.b;
+            out.c += windows.weight[k] * plane.c;
         }
         return out;
     }
@@ -134,11 +121,25 @@ class Level {
 
 // The ground of a scan.
 struct Surface {
-    Layers layers;
-    Tilt whole;                 // the plane that most of it lies on, and the objects above
-    std::vector<Level> levels;  // the widest windows first; the last is the surface, the first shows how it slopes
+    Tilt whole;  // the plane that most of it lies on, and the objects above
+    Level wide;  // the surface in its widest windows: how it slopes
+    bool hangs;  // whether the frame hangs from what looks like ground
 };
 
-Surface find_surface(const PlacedPoints& points, const BinRings& rings);
+// A point is ground from here over the surface up to the reach of its bin, m.
+constexpr float below_surface = -0.5F;
+
+// Finds the ground, the heights of all points over it, m, and up to which height those of each bin are ground, m; no
+// higher than `below_surface` where none are.
+Surface find_surface(
+    const PlacedPoints& points, const BinRings& rings, Scratch<float>& heights, Scratch<float>& reaches);
+
+// Measures of a bin, and the number of ground points about it.
+constexpr std::size_t place_measures = 7;
+
+// Writes the measures of every bin, smoothed over those around it; `belly`, `height`: of the vehicle, m.
+void measure_places(
+    const PlacedPoints& points, const Scratch<float>& heights, const Scratch<float>& reaches, float belly, float height,
+    Array<float, 2> out);
 
 }  // namespace bumpy

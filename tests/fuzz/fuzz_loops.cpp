@@ -3,6 +3,7 @@
 // finite.
 #include <algorithm>
 #include <cmath>
+#include <concepts>
 #include <cstring>
 #include <span>
 #include <vector>
@@ -28,7 +29,7 @@ using Bytes = std::span<const std::uint8_t>;
 template <class T>
 struct Column : std::vector<T> {
     using std::vector<T>::vector;
-    explicit Column(Index n, T value = {}) : std::vector<T>(static_cast<std::size_t>(n), value) {}
+    explicit Column(std::integral auto n, T value = {}) : std::vector<T>(static_cast<std::size_t>(n), value) {}
     operator Array<T>() { return {this->data(), {std::ssize(*this)}}; }
     operator Array<const T>() const { return {this->data(), {std::ssize(*this)}}; }
 };
@@ -93,8 +94,9 @@ void fuzz_frame(Bytes bytes) {
     const Column<Index> sectors{4, 8}, rings{2, 3};
     const ZoneGrid grid{edges, sectors, rings, 0.25};
     const Index room = 33, bins = count_bins(grid);
-    Column<double> centres(2 * room, 1.0), measures(7 * room), origin(1);
-    Column<std::int32_t> cell(room), count(room), ground(room), obstacles(room), overhead(room), sector(n);
+    Column<double> measures(7 * room), origin(1);
+    Column<std::int16_t> zone(room), ring(room), around(room);
+    Column<std::int32_t> count(room), ground(room), obstacles(room), overhead(room), sector(n, -1);
     Column<float> normal(3 * room), heights(16 * room), objects(32 * room), places(8 * bins), height(n);
     Column<float> coverage(room), variance(room), residual(room), top(room), clearance(room);
     Column<std::uint16_t> place(2 * n);
@@ -103,8 +105,10 @@ void fuzz_frame(Bytes bytes) {
         return Array<bool>{reinterpret_cast<bool*>(flags.data()) + begin, {size}};
     };
     find_sectors(
-        points, grid, {centres.data(), {room - 1, 2}}, {4, 5, 0.7, 2.0, 0.25, 1.4},
-        {cell,
+        points, grid, {4, 5, 0.7, 2.0, 0.25, 1.4},
+        {zone,
+         ring,
+         around,
          count,
          ground,
          obstacles,
