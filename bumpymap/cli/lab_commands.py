@@ -28,8 +28,6 @@ from bumpymap.cli._text import about, interrupt_note, print_line
 from bumpymap.core import (
     BumpymapError,
     OutputError,
-    Progress,
-    Steps,
     UsageError,
     atomic,
     install_command,
@@ -114,10 +112,9 @@ def _calibrate(
             f"{settings.profile.name}: {drives:,} drives, {about(seconds)} with {workers} "
             f"process{'es' * (workers > 1)}. An interrupted run goes on where it was"
         )
-        progress.start("driving", drives)
         calibration = calibrate_vehicle(
             settings,
-            Steps(progress),
+            progress,
             workers=workers,
             journal=journal,
             discard_other=overwrite,
@@ -210,7 +207,7 @@ def train_scans_command(run: Run, folder: Path, out: Path, overwrite: bool) -> N
         from bumpymap.lab import make_scan_model
 
         settings = ScanTrainSettings(**run.changed())
-        scores = make_scan_model(settings, out, folder, _Epochs(progress), _show_sectors(progress))
+        scores = make_scan_model(settings, out, folder, _Epochs(progress), progress)
     even = 100 * scores.every.even
     lines = [
         f"accuracy on {scores.scans} unseen scans, classes weighted evenly: {even:.2f} %",
@@ -243,17 +240,6 @@ def _show_trained(run: Run, out: Path, parameters: int, lines: list[str], use: s
         f"use it with: bumpymap {use} --out DIR --set model={out}",
     ]
     run.show({"out": str(out), "parameters": parameters}, lines)
-
-
-def _show_sectors(progress: Progress) -> Callable[[int, int], None]:
-    """Return a callback that shows a bar for each set of scans: for training and for testing."""
-
-    def count(done: int, total: int) -> None:
-        if done == 1:
-            progress.start("cutting scans into sectors", total)
-        progress.advance(1)
-
-    return count
 
 
 class _Epochs:

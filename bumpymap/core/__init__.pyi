@@ -110,7 +110,6 @@ from .gdal import (
 from .interrupts import (
     Progress as Progress,
     SilentProgress as SilentProgress,
-    Steps as Steps,
     Stopwatch as Stopwatch,
     Terminated as Terminated,
     counted as counted,

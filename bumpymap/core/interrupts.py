@@ -150,19 +150,6 @@ class SilentProgress:
         """Do nothing."""
 
 
-class Steps:
-    """Callback that turns a count of finished items into steps of a stage."""
-
-    def __init__(self, progress: Progress, each: int = 1) -> None:
-        self._progress, self._each, self._reported = progress, each, 0
-
-    def __call__(self, done: int, total: int) -> None:
-        """Report that ``done`` items are finished; ``each`` items are one step."""
-        steps = done // self._each
-        self._progress.advance(steps - self._reported)
-        self._reported = steps
-
-
 def counted(items: Iterable[Item], progress: Progress) -> Iterator[Item]:
     """Yield the items, and advance the progress by one step after each."""
     for item in items:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
+from bumpymap.core import SilentProgress
 from bumpymap.core.errors import BumpymapError, OutputError, UsageError
 from bumpymap.lab.settings import CalibrationSettings, DriveSettings
 from bumpymap.lab.simulate import calibrate
@@ -142,12 +143,16 @@ def test_number_of_workers_changes_nothing(calibration):
 def test_interruption_changes_nothing_and_driven_patches_are_not_driven_again(calibration, tmp_path, monkeypatch):
     path = tmp_path / "out.json.progress.jsonl"
 
-    def stop(done, _total):
-        if done >= TABLE + 6:
-            raise KeyboardInterrupt
+    class Stop(SilentProgress):
+        done = 0
+
+        def advance(self, steps):
+            self.done += steps
+            if self.done >= TABLE + 6:
+                raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        calibrate.calibrate_vehicle(SETTINGS, stop, journal=calibrate.calibration_journal(path, SETTINGS))
+        calibrate.calibrate_vehicle(SETTINGS, Stop(), journal=calibrate.calibration_journal(path, SETTINGS))
     assert len(path.read_text().splitlines()) == 1 + TABLE + 3
     ran, run_job = [], calibrate.run_job
     monkeypatch.setattr(calibrate, "run_job", lambda s, job: ran.append(job) or run_job(s, job))

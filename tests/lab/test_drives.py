@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
+from bumpymap.core import SilentProgress
 from bumpymap.core.errors import BumpymapError, UsageError
 from bumpymap.lab.settings import DriveSettings, Physics
 from bumpymap.lab.simulate.drive import follow
@@ -169,12 +170,16 @@ def jobs(tmp_path, monkeypatch):
 def test_results_come_in_order_and_the_process_has_no_thread_for_it(jobs):
     before, seen = threading.active_count(), []
 
-    def told(done, total):
-        seen.append((done, total, threading.active_count()))
+    class Told(SilentProgress):
+        def start(self, stage, total):
+            seen.append((stage, total))
 
-    made = drive_jobs(jobs.twice, [jobs.Job(key) for key in range(7)], told, workers=3)
+        def advance(self, steps):
+            seen.append((steps, threading.active_count()))
+
+    made = drive_jobs(jobs.twice, [jobs.Job(key) for key in range(7)], Told(), workers=3)
     assert list(made.items()) == [(key, 2 * key) for key in range(7)]
-    assert seen == [(done, 7, before) for done in range(8)]
+    assert seen == [("driving", 7), (0, before), *7 * [(1, before)]]
 
 
 @pytest.mark.slow

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CLASS_NAMES, TEXTURES, BumpymapError
+from bumpymap.core import CLASS_NAMES, TEXTURES, BumpymapError, Progress
 from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate.drive import PatchDrives, drive_patch, driven_library, library_record, library_terrain
-from bumpymap.lab.simulate.jobs import DriveJob, Journal, Key, Progress, drive_jobs
+from bumpymap.lab.simulate.jobs import DriveJob, Journal, Key, drive_jobs
 from bumpymap.lab.simulate.model import require_dart
 from bumpymap.lab.simulate.motion_fit import MotionRecord, fit_motion, motion_jobs, run_motion
 from bumpymap.lab.simulate.refit import crossing_jobs, fit_steps, refit, run_crossing

@@ -15,7 +15,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Generic, TextIO, TypeVar
 
-from bumpymap.core import BumpymapError, ChildDiedError, ChildError, OutputError, atomic, call_in_children, parse_json
+from bumpymap.core import (
+    BumpymapError,
+    ChildDiedError,
+    ChildError,
+    OutputError,
+    Progress,
+    SilentProgress,
+    atomic,
+    call_in_children,
+    parse_json,
+)
 
 _FORMAT = "bumpymap-drives-progress"
 _LOG = logging.getLogger(__name__)
@@ -114,10 +124,6 @@ def _line(key: Key, drives: Any) -> str:
     return json.dumps({"patch": key, **asdict(drives)}, allow_nan=False)
 
 
-Progress = Callable[[int, int], None]
-"""Called with the number of finished drives and the number of all drives."""
-
-
 @dataclass(frozen=True, slots=True)
 class DriveJob:
     """Drives over one patch."""
@@ -144,16 +150,15 @@ def drive_jobs(
 ) -> dict[Key, Result]:
     """Drive all jobs that are not in the journal yet; return the drives by the key of their job, in that order.
 
-    ``task`` runs one job; it and the jobs must be picklable. ``progress`` is called with (finished drives, all drives)
-    at the start and after every job. The result does not depend on the number of ``workers``, processes.
+    ``task`` runs one job; it and the jobs must be picklable. ``progress`` counts drives, those of the journal at the
+    start and others after every job. The result does not depend on the number of ``workers``, processes.
     ``discard_other``: discard a journal written with other settings instead of raising an error.
     """
     driven = journal.resume(discard_other=discard_other) if journal else {}
     left = [job for job in jobs if job.key not in driven]
-    total = sum(job.starts for job in jobs)
-    done = total - sum(job.starts for job in left)
-    report = progress or (lambda _done, _total: None)
-    report(done, total)
+    total, progress = sum(job.starts for job in jobs), progress or SilentProgress()
+    progress.start("driving", total)
+    progress.advance(total - sum(job.starts for job in left))
     workers = min(workers, len(left))
     alone = workers <= 1
     with nullcontext(enumerate(map(task, left))) if alone else closing(run_in_processes(task, left, workers)) as ends:
@@ -162,8 +167,7 @@ def drive_jobs(
             driven[job.key] = drives
             if journal:
                 journal.add(job.key, drives)
-            done += job.starts
-            report(done, total)
+            progress.advance(job.starts)
     return {job.key: driven[job.key] for job in jobs}
 
 

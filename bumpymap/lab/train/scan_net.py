@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from bumpymap.core import CLASSES, BadInputError, PolarSettings, Scan
+from bumpymap.core import CLASSES, BadInputError, PolarSettings, Progress, Scan, SilentProgress, counted
 from bumpymap.lab.label_sets import LABEL_SETS, Accuracy, accuracy_of
 from bumpymap.lab.settings import ScanNetSettings, ScanTrainSettings
 from bumpymap.lab.train.model_files import (
@@ -45,8 +45,6 @@ _SWAPPED_SHARE = 0.15
 """Share of the sectors of an epoch that take them. Chosen."""
 _TREE, _BUSH = 4, 19
 """Ids of RELLIS-3D."""
-ScanProgress = Callable[[int, int], None]
-"""Called with the number of finished scans and the number of all scans."""
 
 
 class Sectors(NamedTuple):
@@ -130,24 +128,21 @@ def folder_frames(folder: Path) -> tuple[list[Path], list[Path]]:
     return learn, unseen
 
 
-def folder_sectors(
-    frames: Sequence[Path], turns: int = 0, seed: int = 1, progress: ScanProgress | None = None
-) -> Sectors:
+def folder_sectors(frames: Sequence[Path], turns: int = 0, seed: int = 1, progress: Progress | None = None) -> Sectors:
     """Return the sectors of labelled frames on disk, in order.
 
     Raises BadInputError if a frame has no labels, or none of them has a class.
     """
-    parts = []
-    for done, frame in enumerate(frames, start=1):
+    parts, progress = [], progress or SilentProgress()
+    progress.start("cutting scans into sectors", len(frames))
+    for number, frame in enumerate(counted(frames, progress), start=1):
         scan = read_scan(frame)
         if scan.label is None:
             raise BadInputError(
                 f"{frame} has no label file; training needs os1_cloud_node_semantickitti_label_id/{frame.stem}.label "
                 "next to its folder"
             )
-        parts.append(labelled_sectors(scan, draw_cuts(np.random.default_rng([seed, done, 3]), turns)))
-        if progress:
-            progress(done, len(frames))
+        parts.append(labelled_sectors(scan, draw_cuts(np.random.default_rng([seed, number, 3]), turns)))
     joined = join(parts)
     if not len(joined.class_id):
         raise BadInputError(
@@ -311,14 +306,14 @@ def make_scan_model(
     out: Path,
     scans: Path,
     progress: Callable[[EpochReport], None] | None = None,
-    scan_progress: ScanProgress | None = None,
+    scan_progress: Progress | None = None,
 ) -> ScanEvaluation:
     """Train a network for the sectors of scans, write it, and return its scores.
 
     Settings and scans determine every byte of the file on one machine. ``out``: the ONNX file. While the job runs
     a checkpoint (``.checkpoint``) lies next to it, from which the same call resumes after an interruption. ``scans``: a
-    folder in the layout of RELLIS-3D. ``progress`` is called with a report after every epoch, ``scan_progress`` with
-    (finished scans, all scans) after every scan that was cut into sectors.
+    folder in the layout of RELLIS-3D. ``progress`` is called with a report after every epoch, ``scan_progress`` counts
+    the scans that were cut into sectors.
 
     Raises OutputError if a file cannot be written, BadInputError if the folder contains no scans with labels,
     UsageError if a checkpoint of another training exists.
