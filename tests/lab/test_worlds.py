@@ -6,7 +6,6 @@ import laspy
 import numpy as np
 import pytest
 from made_quarry import tiles_of
-from ply_files import read_vertices
 
 from bumpymap.core import TEXTURES
 from bumpymap.lab.terrains import KINDS, Terrain, fractal, make_terrain, make_textures, survey_terrain
@@ -149,15 +148,6 @@ def test_zones_of_the_page_are_as_rough_as_their_names(patches_in):
     assert (np.diff(rough) > 0).all()
     # The washboard is a sine of 2 cm on the grain of the road.
     assert rough[3] ** 2 - rough[1] ** 2 == pytest.approx(0.02**2 / 2, rel=0.05)
-
-
-def test_the_part_of_the_samples_is_of_the_whole(quarry):
-    part = read_vertices(SAMPLES / "quarry_part.ply")
-    x, y, z = (
-        np.rint(1000 * np.concatenate([part[axis], np.asarray(quarry[axis])])).astype(np.int64) for axis in "xyz"
-    )
-    points = ((x - x.min() << 20) + y - y.min() << 20) + z - z.min()  # mm, which fit in 20 bits each
-    assert np.isin(points[: len(part)], points[len(part) :]).all()
 
 
 def test_the_page_of_the_samples_names_them_all():
