@@ -215,7 +215,7 @@ SITE = bare_map(TileWindow(0, 0, 100, 100), crs=None)
 def test_drives_are_measured_without_a_map_and_those_that_cannot_be_used_are_named(tmp_path):
     """One of them is no file of a drive, and one is refused when it is measured."""
     good, bad, parked = (str(tmp_path / f"{name}.csv") for name in ("good", "bad", "parked"))
-    log, *_ = made_drives.log_of(made_drives.MadeDrive(seconds=60.0, noise=0.01, place_white=0.015))
+    log, *_ = made_drives.log_of(made_drives.MadeDrive(seconds=45.0, noise=0.01, place_white=0.015))
     made_drives.write_table(tmp_path / "good.csv", log, (0.0, 0.0))
     (tmp_path / "bad.csv").write_text("hello")
     made_drives.write_table(tmp_path / "parked.csv", placed("projected", still=True), (0.0, 0.0))
