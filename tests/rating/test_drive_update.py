@@ -110,14 +110,6 @@ def test_the_stated_uncertainty_holds(options, low):
     assert low < np.mean(inside) < 0.92
 
 
-def test_the_maps_error_and_the_scatter_of_lines_are_told_apart():
-    rng = np.random.default_rng(3)
-    for scale, line_sd in ((0.6, 0.1), (2.0, 0.05), (1.0, 0.25)):
-        found = fit_move(evidence_of(rng, 300, scale=scale, line_sd=line_sd), PRIOR)
-        assert found.map_scale == pytest.approx(scale, rel=0.3)
-        assert found.line_sd == pytest.approx(line_sd, abs=0.05)
-
-
 def test_wild_stretches_hardly_move_anything():
     evidence = evidence_of(np.random.default_rng(4), 60, scale=0.5)
     calm = fit_move(evidence, PRIOR)
