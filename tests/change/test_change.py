@@ -150,6 +150,8 @@ def test_surveys_that_do_not_fit_each_other_are_widened():
     assert done.widened == pytest.approx({"height": 3.0 * 1.15, "shape": 2.0, "c_r": 2.0}, rel=0.05)
     assert (done.code[:10] > 0).all()
     assert (done.code[10:-1] > 0).mean() < 0.01
+    calm = made_ground(np.random.default_rng(4))
+    assert decide(replace(calm, z_height=0.5 * calm.z_height), made_ride(calm.z_shape), 0.05).widened["height"] == 1.0
 
 
 @given(st.integers(0, 10_000), st.floats(0.05, 0.8), st.integers(1, 6))
