@@ -278,12 +278,6 @@ def test_a_run_in_memory_that_ends_early_leaves_nothing_and_does_not_speak_of_go
         assert all(map(str.startswith, caught.value.__notes__, notes))
 
 
-def test_strings_paths_and_lists_give_the_same(layers, tmp_path):
-    other = bumpymap.map_survey((QUARRY,), str(tmp_path / "other"), threads=np.int64(1))
-    digests = [{file["path"]: file["sha256"] for file in run.manifest["files"]} for run in (layers, other)]
-    assert digests[0] == digests[1]
-
-
 # --- scans ---
 def ring_of_ground(seed=0, points=60_000):
     rng = np.random.default_rng(seed)

@@ -328,13 +328,17 @@ def test_the_error_that_both_maps_share_is_taken_off(root):
     assert np.median(taken / plain) == pytest.approx(np.log(1.13) / 1.2816 / own, rel=0.05)
 
 
-def test_only_tiles_of_both_are_compared(root):
+def test_only_tiles_of_both_are_compared_and_a_ride_that_differs_everywhere_is_noted(root):
     half = np.arange(COLS)[None, :] < np.where(np.arange(ROWS) < 10, 25, 22)[:, None]
-    part = write_folder(root / "part", survey(5, tiles=half))
+    made = survey(5, tiles=half)
+    for ride in (made.c_r, made.c_r_low, made.c_r_high):
+        np.multiply(ride, 2.0, out=ride)
+    part = write_folder(root / "part", made)
     result = compare(root / "may", part, register=False)
     assert result.counts["in_both"] == half.sum()
     assert (result.field.placement.window.cols, result.field.placement.window.rows) == (25, ROWS)
     assert np.array_equal(np.isfinite(result.field.changed), half[:, :25])
+    assert any("the ride cost of the median tile is 2.0" in note for note in result.notes)
 
 
 def test_files_say_what_the_result_says(rut):
