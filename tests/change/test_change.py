@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import rasterio
 import shapely
-from hypothesis import assume, given, strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from las_files import las_bytes
 from route_maps import RUN, VEHICLE, copy_folder, write_folder
 from scipy import ndimage, stats
@@ -50,6 +50,7 @@ def by_hand(tile):
     return height, np.nansum(products) / np.sqrt(np.nansum(np.square(products)))
 
 
+@settings(max_examples=25)
 @given(st.integers(0, 10_000), st.floats(0.2, 1.0))
 def test_figures_of_a_tile_are_those_made_by_hand(seed, seen):
     rng = np.random.default_rng(seed)
