@@ -243,7 +243,7 @@ with ThreadPoolExecutor(len(surveys)) as pool:
 """
 
 
-@pytest.mark.parametrize(("surveys", "number"), [(4, 2), pytest.param(8, 20, marks=pytest.mark.later)])
+@pytest.mark.parametrize(("surveys", "number"), [(3, 1), pytest.param(8, 20, marks=pytest.mark.later)])
 def test_threads_map_surveys_with_the_same_bytes_as_one_after_the_other(tmp_path, surveys, number):
     for seed in range(surveys):
         write_survey(tmp_path / f"{seed}.laz", points=5_000, side=12.0, seed=seed)
@@ -276,12 +276,6 @@ def test_a_run_in_memory_that_ends_early_leaves_nothing_and_does_not_speak_of_go
             bumpymap.map_survey(QUARRY, out)
         assert len(caught.value.__notes__) == len(notes)
         assert all(map(str.startswith, caught.value.__notes__, notes))
-
-
-def test_strings_paths_and_lists_give_the_same(layers, tmp_path):
-    other = bumpymap.map_survey((QUARRY,), str(tmp_path / "other"), threads=np.int64(1))
-    digests = [{file["path"]: file["sha256"] for file in run.manifest["files"]} for run in (layers, other)]
-    assert digests[0] == digests[1]
 
 
 # --- scans ---

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import rasterio
 import shapely
-from hypothesis import assume, given, strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from las_files import las_bytes
 from route_maps import RUN, VEHICLE, copy_folder, write_folder
 from scipy import ndimage, stats
@@ -50,6 +50,7 @@ def by_hand(tile):
     return height, np.nansum(products) / np.sqrt(np.nansum(np.square(products)))
 
 
+@settings(max_examples=25)
 @given(st.integers(0, 10_000), st.floats(0.2, 1.0))
 def test_figures_of_a_tile_are_those_made_by_hand(seed, seen):
     rng = np.random.default_rng(seed)
@@ -150,6 +151,8 @@ def test_surveys_that_do_not_fit_each_other_are_widened():
     assert done.widened == pytest.approx({"height": 3.0 * 1.15, "shape": 2.0, "c_r": 2.0}, rel=0.05)
     assert (done.code[:10] > 0).all()
     assert (done.code[10:-1] > 0).mean() < 0.01
+    calm = made_ground(np.random.default_rng(4))
+    assert decide(replace(calm, z_height=0.5 * calm.z_height), made_ride(calm.z_shape), 0.05).widened["height"] == 1.0
 
 
 @given(st.integers(0, 10_000), st.floats(0.05, 0.8), st.integers(1, 6))
@@ -306,32 +309,37 @@ def test_a_rut_of_10_cm_is_felt_and_unchanged_ground_is_not(tmp_path):
 
 
 def test_an_offset_that_is_given_is_the_one_taken_off(root):
-    result = compare(root / "may", root / "again", offset=0.0)
+    result = compare(root / "may", root / "again", offset=0.0, register=False)
     assert result.counts["changed"] == ROWS * COLS
     assert np.median(result.field.d_height) == pytest.approx(0.4, abs=0.01)
     assert any("as asked" in note for note in result.notes)
     assert any("too many" in note for note in result.notes)
 
 
-def test_the_error_that_both_maps_share_is_taken_off(root, rut):
+def test_the_error_that_both_maps_share_is_taken_off(root):
     knows = RUN["calibration"] | {"model_error": 0.08}
     both = [
         copy_folder(site, root / f"{site.name}_shared", calibration=knows) for site in (root / "may", root / "june")
     ]
-    results = [rut, compare(*both), compare(both[0], root / "june")]
+    pairs = (root / "may", root / "june"), both, (both[0], root / "june")
+    results = [compare(*pair, register=False) for pair in pairs]
     plain, taken, mixed = (one.field.z_c_r * one.fit["widened"]["c_r"] for one in results)
     assert np.array_equal(mixed, plain)
     own = np.sqrt((np.log(1.13) / 1.2816) ** 2 - 0.08**2)
     assert np.median(taken / plain) == pytest.approx(np.log(1.13) / 1.2816 / own, rel=0.05)
 
 
-def test_only_tiles_of_both_are_compared(root):
+def test_only_tiles_of_both_are_compared_and_a_ride_that_differs_everywhere_is_noted(root):
     half = np.arange(COLS)[None, :] < np.where(np.arange(ROWS) < 10, 25, 22)[:, None]
-    part = write_folder(root / "part", survey(5, tiles=half))
-    result = compare(root / "may", part)
+    made = survey(5, tiles=half)
+    for ride in (made.c_r, made.c_r_low, made.c_r_high):
+        np.multiply(ride, 2.0, out=ride)
+    part = write_folder(root / "part", made)
+    result = compare(root / "may", part, register=False)
     assert result.counts["in_both"] == half.sum()
     assert (result.field.placement.window.cols, result.field.placement.window.rows) == (25, ROWS)
     assert np.array_equal(np.isfinite(result.field.changed), half[:, :25])
+    assert any("the ride cost of the median tile is 2.0" in note for note in result.notes)
 
 
 def test_files_say_what_the_result_says(rut):

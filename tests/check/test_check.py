@@ -56,7 +56,7 @@ def good():
         bias=0.01,
         place_white=0.015,
         place_wander=0.01,
-        seconds=150.0,
+        seconds=110.0,
     )
     log, pitch_rate, way = made_drives.log_of(made)
     return made, log, pitch_rate, way, *measured(log)
@@ -80,12 +80,12 @@ def test_clock_mounting_floor_and_way_are_found(good):
     assert np.abs(found.speed).sum() / found.hertz == pytest.approx(way[-1], rel=0.01)
 
 
-@pytest.mark.parametrize(("offset", "turning"), [(0.0, 1.0), (-1.0, 1.0), (0.5, 0.0)])
+@pytest.mark.parametrize(("offset", "turning"), [(-1.0, 1.0), (0.5, 0.0)])
 def test_the_clock_is_found_within_its_stated_error_by_starts_and_stops(offset, turning):
     """The errors of the positions are no knowledge of the clock: stated errors of 0.02 s went with 0.06 s."""
-    stops = ((40.0, 45.0), (75.0, 82.0), (110.0, 114.0))
+    stops = ((25.0, 29.0), (45.0, 50.0), (65.0, 69.0))
     made = made_drives.MadeDrive(offset=offset, turning=turning, stops=stops, noise=0.01, bias=0.01, place_white=0.01)
-    found, _ = measured(made_drives.log_of(replace(made, seconds=150.0))[0])
+    found, _ = measured(made_drives.log_of(replace(made, seconds=95.0))[0])
     assert abs(found.clock_offset_s - offset) < min(3.0 * found.clock_offset_sd_s, 0.03)
     assert 0.01 < found.clock_offset_sd_s < 0.05
 
@@ -99,7 +99,7 @@ def test_noise_of_positions_does_not_lengthen_the_way():
 
 
 def test_a_sensor_upside_down_reads_the_same(good):
-    made = replace(good[0], mount_deg=(180.0, 0.0, 0.0), seconds=90.0)
+    made = replace(good[0], mount_deg=(180.0, 0.0, 0.0), seconds=60.0)
     log, pitch_rate, way = made_drives.log_of(made)
     found, cut = measured(log)
     assert abs(found.mount_deg[0]) == pytest.approx(180.0, abs=1.0)
@@ -215,7 +215,7 @@ SITE = bare_map(TileWindow(0, 0, 100, 100), crs=None)
 def test_drives_are_measured_without_a_map_and_those_that_cannot_be_used_are_named(tmp_path):
     """One of them is no file of a drive, and one is refused when it is measured."""
     good, bad, parked = (str(tmp_path / f"{name}.csv") for name in ("good", "bad", "parked"))
-    log, *_ = made_drives.log_of(made_drives.MadeDrive(seconds=60.0, noise=0.01, place_white=0.015))
+    log, *_ = made_drives.log_of(made_drives.MadeDrive(seconds=45.0, noise=0.01, place_white=0.015))
     made_drives.write_table(tmp_path / "good.csv", log, (0.0, 0.0))
     (tmp_path / "bad.csv").write_text("hello")
     made_drives.write_table(tmp_path / "parked.csv", placed("projected", still=True), (0.0, 0.0))

@@ -10,10 +10,7 @@ import pyarrow.parquet as pq
 import pyogrio
 import pytest
 import rasterio
-from hypothesis import given, settings, strategies as st
 from pyproj import CRS
-from pyproj.aoi import AreaOfInterest
-from pyproj.database import query_utm_crs_info
 from small_surveys import run, write_survey
 
 from bumpymap.core import (
@@ -210,14 +207,6 @@ def test_earth_centred_coordinates_are_refused_with_their_zone():
     place = Place(Path("a.laz"), (-952_258.6, -5_944_768.1, 2_106_146.8))
     with pytest.raises(BadInputError, match=r"Earth-centred.*out_srs=EPSG:32614"):
         settle(CrsStatement(CRS(4978)), place=place)
-
-
-@settings(max_examples=8)
-@given(longitude=st.floats(-179.99, 179.99).map(lambda v: round(v, 6)), latitude=st.floats(-79.9, 83.9))
-def test_utm_zone_is_one_that_the_registry_gives_for_the_place(longitude, latitude):
-    area = AreaOfInterest(longitude, latitude, longitude, latitude)
-    codes = {int(info.code) for info in query_utm_crs_info("WGS 84", area)}
-    assert utm_epsg(longitude, latitude) in codes
 
 
 def test_utm_at_the_ends_of_the_earth():

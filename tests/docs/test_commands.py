@@ -141,7 +141,7 @@ def _drive(folder: Path) -> None:
     points = np.fromfile(folder / "drive" / "000000.bin", "<f4").reshape(-1, 4)[:, :3]
     PointCloud.from_xyz_points(points).save(str(folder / "frame.pcd"), Encoding.BINARY)
     _bag(folder)
-    log, _, _ = log_of(MadeDrive(seconds=75.0, turning=0.5, noise=1e-3, place_white=0.02, mount_deg=(1.0, -2.0, 1.0)))
+    log, _, _ = log_of(MadeDrive(seconds=50.0, turning=0.5, noise=1e-3, place_white=0.02, mount_deg=(1.0, -2.0, 1.0)))
     write_table(folder / "drive.csv", log, (512_352.0, 5_403_239.0))
 
 

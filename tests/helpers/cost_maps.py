@@ -1,6 +1,6 @@
 """A made-up map: every class, every reason, gaps without rows, heights with holes; and the regions of small maps."""
 
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, replace
 
 import numpy as np
 from pyproj import CRS
@@ -109,22 +109,6 @@ def make_field(cols, rows, *, west=110_000, south=680_000, holes=0.15, seed=3, *
     shuffle = rng.permutation(len(row))
     row, col = row[shuffle], col[shuffle]
     return make_map(col + west, row + south, class_id[row, col], reason[row, col], seed=seed, **options)
-
-
-def part_of(cost_map, chosen):
-    """The same map with some of its tiles, or all of them in another order."""
-
-    def cut(record):
-        changes = {}
-        for field in fields(record):
-            value = getattr(record, field.name)
-            if isinstance(value, np.ndarray):
-                changes[field.name] = value[chosen]
-            elif is_dataclass(value) and field.name in {"patches", "textures"}:
-                changes[field.name] = cut(value)
-        return replace(record, **changes)
-
-    return cut(cost_map)
 
 
 def with_objects(cost_map, seed=9):

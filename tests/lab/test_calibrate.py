@@ -139,9 +139,8 @@ def test_number_of_workers_changes_nothing(calibration):
     assert calibrate.calibrate_vehicle(SETTINGS, workers=2) == calibration
 
 
-@pytest.mark.slow
-def test_interruption_changes_nothing_and_driven_patches_are_not_driven_again(calibration, tmp_path, monkeypatch):
-    path = tmp_path / "out.json.progress.jsonl"
+def test_interruption_changes_nothing_and_driven_patches_are_not_driven_again(fake_drives, tmp_path):
+    path, whole = tmp_path / "out.json.progress.jsonl", calibrate.calibrate_vehicle(SETTINGS)
 
     class Stop(SilentProgress):
         done = 0
@@ -154,10 +153,9 @@ def test_interruption_changes_nothing_and_driven_patches_are_not_driven_again(ca
     with pytest.raises(KeyboardInterrupt):
         calibrate.calibrate_vehicle(SETTINGS, Stop(), journal=calibrate.calibration_journal(path, SETTINGS))
     assert len(path.read_text().splitlines()) == 1 + TABLE + 3
-    ran, run_job = [], calibrate.run_job
-    monkeypatch.setattr(calibrate, "run_job", lambda s, job: ran.append(job) or run_job(s, job))
-    assert calibrate.calibrate_vehicle(SETTINGS, journal=calibrate.calibration_journal(path, SETTINGS)) == calibration
-    assert len(ran) == LIBRARY - 3
+    fake_drives.clear()
+    assert calibrate.calibrate_vehicle(SETTINGS, journal=calibrate.calibration_journal(path, SETTINGS)) == whole
+    assert len(fake_drives) == LIBRARY - 3
 
 
 @pytest.mark.slow

@@ -88,7 +88,7 @@ def test_slope_that_friction_cannot_hold_is_not_climbed():
     assert math.isnan(made.c_r)
 
 
-@pytest.mark.parametrize(("wavelength", "heading"), [(2.0, 0.0), (2.5, math.pi), (5.0, 0.0)])
+@pytest.mark.parametrize(("wavelength", "heading"), [(2.5, math.pi), (5.0, 0.0)])
 def test_sine_meets_its_closed_form_both_ways(wavelength, heading):
     """Axles W apart pitch by a sine of amplitude ``2 A sin(pi W / L) / W``; a wave adds four times that."""
     settings = DriveSettings(measure_s=5.0)
@@ -121,7 +121,7 @@ def test_half_the_time_step_changes_little():
     assert known[1] == pytest.approx(known[0], rel=0.03)
 
 
-@pytest.mark.parametrize(("speed", "wavelength"), [(1.0, 0.92), pytest.param(2.0, 3.0, marks=pytest.mark.later)])
+@pytest.mark.parametrize(("speed", "wavelength"), [pytest.param(1.0, 0.92, marks=pytest.mark.later), (2.0, 3.0)])
 def test_waves_lift_as_the_closed_form_says(speed, wavelength):
     ground = wave_ground(HEIGHT_M, wavelength, facets=round(wavelength / 0.04))
     _, a_w = drive_motion(WARTHOG, ground, Start(0.0, 0.0, 0.0), speed, LONG)
@@ -142,7 +142,7 @@ def test_waves_at_an_angle_pitch_as_the_closed_form_says():
 def test_waves_are_hardly_felt_along_their_crests_nor_a_plane_and_a_drive_repeats():
     assert drive_from(WARTHOG, wave_ground(0.05, 2.0), Start(0.5, 0.0, math.pi / 2), SHORT).c_r < 0.005
     plane = wave_ground(gradient=(0.1, 0.0))
-    made, again = (drive_motion(WARTHOG, plane, Start(0.0, 0.0, 0.5), 1.0, LONG) for _ in range(2))
+    made, again = (drive_motion(WARTHOG, plane, Start(0.0, 0.0, 0.5), 1.0, SHORT) for _ in range(2))
     assert made == again
     assert made[0] < 0.001
     assert made[1] < 0.01

@@ -127,14 +127,6 @@ def test_a_vehicle_that_gets_nowhere_is_stuck_and_one_past_sixty_degrees_has_rol
     assert math.isnan(drive.c_r) == (outcome != "completed")
 
 
-def test_vehicle_beside_its_line_steers_back():
-    vehicle, drive = run(beside=0.5)
-    assert vehicle.commands[30][0] > vehicle.commands[30][1]  # it is to the left, so it turns right
-    east, north = vehicle.easting - STRIP.easting, vehicle.northing - STRIP.northing
-    assert abs(north * math.cos(STRIP.heading) - east * math.sin(STRIP.heading)) < 0.35
-    assert drive.outcome == "completed"
-
-
 def test_time_step_must_divide_the_time_between_samples():
     with pytest.raises(UsageError, match=r"0\.003 s does not divide"):
         DriveSettings(physics=Physics(time_step=0.003))

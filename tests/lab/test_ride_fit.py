@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from bumpymap.core import NORMAL_80, BumpymapError
-from bumpymap.lab.simulate.ride_fit import DrivenPatches, fit_correction, student_factor
+from bumpymap.lab.simulate.ride_fit import DrivenPatches, fit_correction
 from bumpymap.rating import Rides
 
 pytestmark = pytest.mark.slow
@@ -86,9 +85,3 @@ def test_a_vehicle_that_completes_nothing_is_refused():
     stuck = replace(driven, completed=np.zeros(COUNT, int), failed=np.full(COUNT, 8))
     with pytest.raises(BumpymapError, match="wrong number in its profile"):
         fit_correction(stuck, no_noise())
-
-
-def test_few_drives_doubt_their_mean_more():
-    drives = np.array([5, 8, 30])
-    wanted = stats.t.ppf(0.9, drives - 1) / stats.norm.ppf(0.9)
-    assert student_factor(drives) == pytest.approx(wanted, rel=0.03)

@@ -6,7 +6,6 @@ import laspy
 import numpy as np
 import pytest
 from made_quarry import tiles_of
-from ply_files import read_vertices
 
 from bumpymap.core import TEXTURES
 from bumpymap.lab.terrains import KINDS, Terrain, fractal, make_terrain, make_textures, survey_terrain
@@ -82,25 +81,6 @@ def test_every_patch_is_scaled_has_no_plane_and_belongs_to_its_seed(texture, pix
     assert len(np.unique(patches.reshape(50, -1), axis=0)) == 50
 
 
-def power_of(patches):
-    """Mean share of the power of patches (n, p, p) at each wave number (0 .. waves a side, rounded)."""
-    power = np.abs(np.fft.fft2(patches - patches.mean(axis=(1, 2), keepdims=True))) ** 2
-    power /= power.sum(axis=(1, 2), keepdims=True)
-    wave = np.fft.fftfreq(patches.shape[1], 1 / patches.shape[1])
-    number = np.round(np.hypot(wave[:, None], wave[None, :])).astype(int)
-    return np.bincount(number.ravel(), power.mean(axis=0).ravel())
-
-
-def test_spectra_are_where_the_forms_say():
-    flat, low, sine, high = (power_of(make_textures(texture, 400, np.random.default_rng(5))) for texture in TEXTURES)
-    assert flat[1] > 0.65, "one undulation a patch, and what its borders leak"
-    assert low[1] < flat[1] - 0.1
-    assert low[2:4].sum() > flat[2:4].sum() + 0.1, "bumps of about a metre"
-    assert sine[2:5].sum() > 0.6, "waves of 0.8 to 2.4 m"
-    assert high[5:].sum() > 0.35, "rubble"
-    assert max(flat[5:].sum(), low[5:].sum(), sine[5:].sum()) < 0.1
-
-
 def test_perfect_points_lie_on_the_surface_north_up():
     axis = (np.arange(60) + 0.5) * 0.05
     slope = Terrain("plane", np.broadcast_to(0.2 * axis, (60, 60)) - 0.3 * axis[:, None], 3.0)
@@ -149,15 +129,6 @@ def test_zones_of_the_page_are_as_rough_as_their_names(patches_in):
     assert (np.diff(rough) > 0).all()
     # The washboard is a sine of 2 cm on the grain of the road.
     assert rough[3] ** 2 - rough[1] ** 2 == pytest.approx(0.02**2 / 2, rel=0.05)
-
-
-def test_the_part_of_the_samples_is_of_the_whole(quarry):
-    part = read_vertices(SAMPLES / "quarry_part.ply")
-    x, y, z = (
-        np.rint(1000 * np.concatenate([part[axis], np.asarray(quarry[axis])])).astype(np.int64) for axis in "xyz"
-    )
-    points = ((x - x.min() << 20) + y - y.min() << 20) + z - z.min()  # mm, which fit in 20 bits each
-    assert np.isin(points[: len(part)], points[len(part) :]).all()
 
 
 def test_the_page_of_the_samples_names_them_all():

@@ -336,8 +336,11 @@ def rows_of(path, *frames):
     return pq.read_table(path)
 
 
+FRAME_NAMES = [f"{stem}.{kind}" for stem in ("f0", "f1", "A", "a", "000001_a", "000002_a") for kind in ("ply", "bin")]
+
+
 @settings(max_examples=40)
-@given(st.lists(st.from_regex(r"\A(f[0-3]|[Aa]|00000[0-2]_a)(\.(ply|bin))\Z"), min_size=1, max_size=8))
+@given(st.lists(st.sampled_from(FRAME_NAMES), min_size=1, max_size=8))
 def test_no_two_frames_have_one_name_on_any_disk(names):
     paths = [Path(f"run{number}") / name for number, name in enumerate(names)]
     frames = name_frames([Frame(path) for path in paths])

@@ -24,7 +24,6 @@ from scenes import (
     wall,
 )
 
-from bumpymap.core import EMPTY, LONE
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import CANOPY, FREE, OBSTACLE, SEEN, UNDECIDED, UNSEEN, VehicleBody
 from bumpymap.patches.features import find_objects, measure, settle_solids
@@ -192,16 +191,6 @@ def test_missing_heights_are_neither_things_nor_foot_and_a_higher_belly_passes(r
     assert np.all(marks[(heights > 0.25) & ~holes])
     assert not np.any(marks_of(np.full_like(heights, np.nan)))
     assert not np.any(marks_of(heights, VehicleBody(0.5, 1.4, 1.4, brush_stem_m=0.5)))
-
-
-@pytest.mark.parametrize("density", [20, 6])
-def test_few_points_see_the_same_things_as_many(density):
-    # The pixels beside a side that are known lie farther away.
-    for heights in (boulder(6.0, 6.0, 0.6, 0.45), np.where(np.maximum(abs(X - 6), abs(Y - 6)) < 0.5, 0.7, 0.0)):
-        seen = np.stack([thinned(heights, density, seed) for seed in range(20)])
-        marks = np.stack([marks_of(one) for one in seen])
-        assert np.sum(marks & (seen > 0.25)) > 0.85 * np.sum(seen > 0.25)
-        assert not np.any(marks & (heights == 0))
 
 
 def test_points_of_a_boulder_that_was_taken_for_ground_make_an_obstacle_across_tiles():
@@ -384,19 +373,6 @@ def test_a_fence_seen_here_and_there_is_one_line():
     image, west, south = seen_pixels(survey_scene(fence(mesh=0.1), 100, sides=True, seed=3), BODY)
     row, cols = len(image) - 1 - int(-south / 0.2), slice(int((-5.5 - west) / 0.2), int((5.5 - west) / 0.2))
     assert np.all((image[row - 1 : row + 2, cols] == OBSTACLE).any(axis=0))
-
-
-@pytest.mark.parametrize(
-    ("every", "first", "last", "joins"), [(2, 34, 40, True), (1, 33, 41, False), (2, 30, 44, False)]
-)
-def test_a_line_of_few_points_has_wider_gaps_by_chance(every, first, last, joins):
-    """Of 2.5 points per m, 1.6 m apart; in a line of twice as many 2 m are a gap, and 3 m are one in any."""
-    states = np.full((75, 75), EMPTY, np.uint8)
-    states[::2, ::2] = FREE  # thinly seen ground
-    states[37, 1::every] = LONE  # points of a wall, but for some in the middle
-    states[37, first : last + 1] = FREE
-    settled = settle_solids(states, Grid(), FAR)
-    assert (settled[37, first : last + 1] == OBSTACLE).any() == joins
 
 
 def test_a_pixel_is_the_same_wherever_a_block_is_cut_out():

@@ -68,7 +68,7 @@ def test_south_up(tmp_path):
     )
 
 
-@pytest.mark.parametrize("points", [1, 7, 100, 1000, 10**6])
+@pytest.mark.parametrize("points", [7, 1000])
 @pytest.mark.parametrize("name", ["strips", "one strip", "tiles"])
 def test_every_pixel_is_in_one_chunk(tmp_path, points, name):
     path = write_raster(tmp_path / "dsm.tif", HEIGHTS.astype(np.float32), **STORED[name])

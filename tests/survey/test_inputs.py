@@ -390,17 +390,6 @@ def test_a_project_of_odm_is_mapped_as_it_is_with_its_orthophoto(tmp_path):
     assert json.loads(CliRunner().invoke(main, ["info", str(odm), "--json"]).stdout)["photo"]
 
 
-def test_a_batch_maps_dsms_and_projects(tmp_path):
-    write_raster(tmp_path / "night" / "north.tif", HEIGHTS)
-    cloud_of_heights(tmp_path / "night" / "odm" / "odm_georeferencing" / "odm_georeferenced_model.laz")
-    ortho(tmp_path / "night" / "odm" / "odm_orthophoto" / "odm_orthophoto.tif")
-    (tmp_path / "night" / "north.tif").rename(tmp_path / "north.tif")
-    (tmp_path / "list.csv").write_text("survey,name,photo\nnorth.tif,north,\nnight/odm,odm,\n")
-    run("batch", tmp_path / "list.csv", "--out", tmp_path / "out", "--jobs", 1, code=0)
-    assert (tmp_path / "out" / "odm" / "rasters" / "photo.tif").exists()
-    assert not (tmp_path / "out" / "north" / "rasters" / "photo.tif").exists()
-
-
 @pytest.mark.realdata
 def test_the_two_commands_from_a_pcd_to_nav2_on_a_real_cloud(tmp_path, shared_data):
     page = (Path(__file__).parents[2] / "docs" / "pages" / "slam-to-nav2.md").read_text()

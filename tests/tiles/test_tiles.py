@@ -155,7 +155,7 @@ def in_memory(columns):
     return flat(gather(columns, np.arange(len(columns[0])), []))
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(st.integers(0, 99), st.integers(20, 900), st.integers(20, 3000), st.integers(40, 3000))
 def test_spilled_or_not_the_same_points_come_out(tmp_path_factory, seed, size, points, block_points):
     columns = survey(seed, 2000, 150.0)

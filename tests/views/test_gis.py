@@ -343,7 +343,8 @@ def strange_fixture(tmp_path_factory):
     about = {"survey": RUN["survey"] | {"name": STRANGE}, "calibration": calibration}
     pair = [replace(made, georeference=Georeference(STRANGE_CRS)) for made in (survey(1), survey(3, rut=0.1, c_r=3.0))]
     maps = [
-        write_folder(root / name, made, views=True, **about) for name, made in zip(("before", "map"), pair, strict=True)
+        write_folder(root / name, made, views=name == "map", **about)
+        for name, made in zip(("before", "map"), pair, strict=True)
     ]
     found, ground = on_site(made_up_check(50), maps[1])
     write_route(make_route(STRANGE), ground, root / "route", manifest={})

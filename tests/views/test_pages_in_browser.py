@@ -12,10 +12,9 @@ import rasterio
 from axe_playwright_python.sync_playwright import Axe
 from page_outline import Outline, ReadPage
 from pyproj import Transformer
-from route_maps import change_bars, copy_folder, list_anew, plant_photo
+from route_maps import copy_folder, list_anew, plant_photo
 
-from bumpymap.core import Barred
-from bumpymap.layers import BARRED_COLOURS, RideScale, SurveyRow
+from bumpymap.layers import RideScale, SurveyRow
 from bumpymap.layers.check_files import MapOffset
 from bumpymap.layers.colours import OFF_COLOURS
 from bumpymap.views import write_report
@@ -298,16 +297,6 @@ def test_the_pointer_reads_what_the_grids_hold_and_unknown_ground_is_grey(visit,
     for key in ("class", "c_r", "slope", "barred", "none"):
         _, colour = page.evaluate(POINT_AT, [*first((ground >= 16) & (ground < 255)), key])
         assert np.ptp(colour) <= 2, f"unknown ground has a colour in the layer {key}"
-
-
-def test_ground_of_which_too_little_was_seen_shows_its_reason_and_no_class(visit, site, tmp_path):
-    path = write_report(change_bars(copy_folder(site, tmp_path / "thin"), 0, "too little seen"))
-    page, place = visit(path), first(ReadPage(path).codes("barred") == Barred.LITTLE_SEEN)
-    text, colour = page.evaluate(POINT_AT, [*place, "class"])
-    assert "not known whether the vehicle can cross it: too little seen" in text
-    assert np.ptp(colour) <= 2
-    _, colour = page.evaluate(POINT_AT, [*place, "barred"])
-    assert np.abs(np.subtract(colour, BARRED_COLOURS[Barred.LITTLE_SEEN][:3])).max() <= 2
 
 
 def test_the_pointer_reads_what_has_changed_and_what_is_not_compared_never_looks_unchanged(visit, pages):

@@ -49,8 +49,8 @@ def layers_in(folder):
     return {(name, layer): (folder / name / layer).read_bytes() for name in GOOD for layer in LAYERS}
 
 
-def batch(*words, **how):
-    return run("batch", *words, **how)
+def batch(*words, jobs=1, **how):
+    return run("batch", *words, "--jobs", jobs, **how)
 
 
 def table(folder):
@@ -65,7 +65,7 @@ def statuses(folder):
 @pytest.fixture(scope="module")
 def night(surveys, tmp_path_factory):
     folder = tmp_path_factory.mktemp("done") / "night"
-    batch(surveys, "--out", folder, code=4)
+    batch(surveys, "--out", folder, jobs=2, code=4)
     return folder
 
 
