@@ -448,3 +448,67 @@ def test_a_caller_keeps_its_own_say_about_signals(tmp_path):
         assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+AT_INSTANTS = """
+import atexit, os, signal, sys
+from pathlib import Path
+import bumpymap.survey.pipeline
+from bumpymap.cli import map_command
+from bumpymap.__main__ import run
+
+folder, survey = Path(sys.argv[1]), sys.argv[2]
+seen = 0
+
+def child(at):
+    pid = os.fork()
+    if pid:
+        return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    said = os.open(folder / f"{at}.txt", os.O_WRONLY | os.O_CREAT)
+    os.dup2(said, 1)
+    os.dup2(said, 2)
+
+    def tick(*_):
+        global seen
+        seen += 1
+        if seen == at:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    if not at:
+        atexit.register(lambda: (folder / "steps").write_text(str(seen)))
+    out = ["--out", str(folder / f"out_{at}"), "--set", f"scratch={folder / 'tmp'}"]
+    sys.argv = ["bumpymap", "map", survey, *out, "--quiet"]
+    sys.setprofile(tick)
+    run()
+
+print(0, child(0), flush=True)
+steps = int((folder / "steps").read_text())
+for instant in range(1, INSTANTS):
+    at = instant * steps // INSTANTS
+    print(at, child(at), flush=True)
+"""
+
+
+INSTANTS = 12
+
+
+@pytest.mark.later
+def test_no_instant_gives_a_traceback(tmp_path):
+    survey = write_survey(tmp_path / "small.las")
+    code = AT_INSTANTS.replace("INSTANTS", str(INSTANTS))
+    command = [sys.executable, "-c", code, str(tmp_path), str(survey)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    (_, whole), *ended = (tuple(map(int, line.split())) for line in done.stdout.splitlines())
+    assert whole == 0
+    assert len(ended) == INSTANTS - 1
+    for at, code in ended:
+        said = (tmp_path / f"{at}.txt").read_text()
+        # A run that is over has nothing to say; the signal ends its process all the same.
+        assert code == 143, said
+        assert said.startswith("Terminated. No file is half-written."), said
+        assert len(said.splitlines()) == 1, said
+        out = tmp_path / f"out_{at}"
+        left = {path.name for path in out.iterdir()} if out.exists() else set()
+        assert left in (set(), {".bumpymap-run"}) or "run.json" in left
+        assert not list((tmp_path / "tmp").glob("*")), "points were left"

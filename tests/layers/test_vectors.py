@@ -474,3 +474,37 @@ def test_files_that_hold_neither_areas_nor_points_are_refused(tmp_path, read, na
         path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(BadInputError, match=words):
         read(path)
+
+
+def areas_by_hand(cost_map):
+    """Unions of the boxes of tiles that share sides and what they are, found apart from the package."""
+    patches, known = cost_map.patches, cost_map.class_id != NO_CLASS
+    passable = known & (cost_map.p_fail < 0.5) & (patches.slope <= cost_map.rule.slope_limit_deg)
+    kind = np.stack([cost_map.class_id, np.where(known, 0, patches.reason), passable], axis=1).astype(int)
+    boxes = shapely.box(patches.col, patches.row, patches.col + 1, patches.row + 1)
+    for key in np.unique(kind, axis=0):
+        for area in shapely.get_parts(shapely.union_all(boxes[(kind == key).all(axis=1)])):
+            yield tuple(key.tolist()), area
+
+
+@settings(max_examples=60)
+@given(
+    cells=st.lists(st.sampled_from([None, 0, 1, NO_CLASS]), min_size=1, max_size=36).filter(
+        lambda cells: any(cell is not None for cell in cells)
+    ),
+    cols=st.integers(1, 6),
+)
+def test_any_small_map_gives_valid_right_hand_regions(cells, cols):
+    present = [(i % cols - 3, i // cols - 3, cell) for i, cell in enumerate(cells) if cell is not None]
+    col, row, class_id = zip(*present, strict=True)
+    cost_map = make_map(col, row, class_id, [3 if cell == NO_CLASS else 0 for cell in class_id])
+    regions = regions_of(cost_map)
+    got = list(zip(regions.class_id, regions.reason, regions.passable, regions.outlines, strict=True))
+    expected = list(areas_by_hand(cost_map))
+    assert len(expected) == len(got)
+    for key, area in expected:
+        assert sum((k, r, p) == key and shapely.equals(area, outline) for k, r, p, outline in got) == 1
+    assert shapely.is_valid(regions.outlines).all()
+    for outline in regions.outlines:
+        assert outline.exterior.is_ccw
+        assert not any(hole.is_ccw for hole in outline.interiors)

@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import distance_transform_edt
 
+from bumpymap.core import loops
 from bumpymap.rating import THIN_COLUMNS, Calibration, rate_beside_steps
 
 PIXELS = 15
@@ -47,3 +49,15 @@ def test_the_larger_of_two_rests_is_open_and_the_ditch_is_not_asked_for():
     assert closed[0, :, 6].all()
     assert not closed[0, :, 14].any()
     assert p_fail[0] < 0.1
+
+
+def test_the_nearest_mark_is_that_of_a_distance_transform():
+    marks = np.random.default_rng(5).random((40, PIXELS, PIXELS)) < np.linspace(0.01, 0.5, 40)[:, None, None]
+    marks = np.concatenate([marks[marks.any(axis=(1, 2))], NOTHING])
+    place, square = (np.empty(marks.shape, np.int32) for _ in range(2))
+    loops.find_nearest(marks, place, square)
+    for tile, own, far in zip(marks[:-1], place, square, strict=False):
+        distance, (row, col) = distance_transform_edt(~tile, return_indices=True)
+        np.testing.assert_array_equal(own, PIXELS * row + col)
+        np.testing.assert_allclose(np.sqrt(far), distance)
+    assert (place[-1] == -1).all()

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from scipy.stats import binned_statistic_2d
 from walls import PIXELS, TILE_SIZE, Wall, crossed, mosaic
 
-from bumpymap.core import BadInputError
+from bumpymap.core import BadInputError, loops
 from bumpymap.rating import Calibration, apply_steps, closing_height, crossing_fails, edge_usable, find_steps
 from bumpymap.rating.steps import STEP_COLUMNS
 
@@ -207,3 +208,24 @@ def test_a_damaged_record_is_named(damage):
     broken = replace(SHIPPED, steps={**SHIPPED.steps, **damage})
     with pytest.raises(BadInputError, match="record of steps"):
         edge_usable(np.zeros(1), broken)
+
+
+def test_pixels_that_close_are_those_of_filters_over_the_mosaic():
+    tiles, pixels = 4, 10
+    shape, seen = (tiles * pixels, tiles * pixels), RNG.random((tiles * pixels, tiles * pixels)) < 0.7
+    heights = np.where(seen, RNG.normal(0, 0.2, shape), np.nan).astype(np.float32)
+    is_thin, least = RNG.random((tiles, tiles)) < 0.5, RNG.uniform(0.3, 0.9, (tiles, tiles))
+    of_tiles = np.ones((pixels, pixels))
+    low, closed = np.empty(shape, bool), np.empty(shape, bool)
+    loops.find_low(heights, pixels, least, low)
+    highest = ndimage.maximum_filter(np.where(seen, heights, -np.inf), 3, mode="nearest")
+    np.testing.assert_array_equal(low, highest - heights >= np.kron(least, of_tiles))
+
+    across, along = RNG.choice(3, (2, *shape), p=(0.95, 0.03, 0.02)).astype(np.uint8)
+    jumps = RNG.random(shape) < 0.01
+    loops.close_steps(across, np.ascontiguousarray(along.T), pixels, is_thin, jumps, low, closed)
+    sure = np.kron(is_thin, of_tiles) > 0
+    steps = np.maximum(across, along) > sure
+    beside = ndimage.correlate((steps | jumps | low).astype(int), np.ones((5, 5), int), mode="constant")
+    assert (steps & sure & (beside == 1)).any()
+    np.testing.assert_array_equal(closed, jumps | (steps & (~sure | (beside > 1))))

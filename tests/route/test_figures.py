@@ -12,7 +12,7 @@ from route_oracles import by_heading, gap_to_closed, reach_by_graph, smooth_fiel
 from small_surveys import run
 from tile_maps import TileMap
 
-from bumpymap.core import Barred
+from bumpymap.core import Barred, DirectionSettings, axis_values, slope_cost
 from bumpymap.route import CostSettings, ground, measure
 from bumpymap.route.ground import CostGround, sample_line
 from bumpymap.route.measure import measure_straight_line, measure_way
@@ -290,3 +290,30 @@ def test_ends_in_closed_tiles_or_outside_have_no_way(goal):
     cost[4, 4] = np.inf
     assert find_way(cost, (1.0, 1.0), goal) is None
     assert find_way(cost, goal, (1.0, 1.0)) is None
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.2, 0.45])
+def test_clear_is_what_shapely_measures(margin):
+    """Lines whose ends keep the margin, on random maps."""
+    rng, clear = np.random.default_rng(int(100 * margin)), []
+    for _ in range(150):
+        cost = np.pad(smooth_field(rng, (8, 9), width=1, closed=0.25), 1, constant_values=np.inf)
+        line = rng.permutation(np.argwhere(np.isfinite(cost)))[:3] + 0.5 + rng.uniform(-0.04, 0.04, (3, 2))
+        gap = gap_to_closed(cost, line)
+        assert is_clear(cost, line, margin) == (gap > 0 and gap >= margin)
+        clear.append(gap >= margin and gap > 0)
+    assert 0.05 < np.mean(clear) < 0.95
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_way_costs_what_its_pieces_do_and_none_lies_in_a_barred_direction(seed):
+    rng = np.random.default_rng(seed)
+    cost = with_slope(rng, by_heading(rng, smooth_field(rng, (40, 30), closed=0.1)))
+    start, goal = rng.permutation(np.argwhere(np.isfinite(cost.tiles[..., 0])))[:2] + 0.5
+    way = find_way(cost, start, goal, margin=0.3)
+    pieces, step = trace(cost, way), np.diff(way, axis=0)
+    rules = DirectionSettings(climb=6.0, descent=2.0, side_slope=3.0, side_limit=math.degrees(math.atan(0.25 + 1e-6)))
+    more, barred = slope_cost(rules, cost.gradient[pieces.row, pieces.col], *step[pieces.part].T)
+    each = axis_values(cost.tiles[pieces.row, pieces.col], *step[pieces.part].T) + more
+    assert (pieces.length * each).sum() == pytest.approx(line_cost(cost, way), rel=1e-9)
+    assert not barred.any()

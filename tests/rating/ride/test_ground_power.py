@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
+from bumpymap.core import loops
 from bumpymap.rating import find_strengths
 from bumpymap.rating.ride.ground_power import POWER_RING, WAVE_SUMS, wave_sums
 
@@ -91,3 +93,25 @@ def test_a_tile_without_a_plane_is_unknown():
     sums = wave_sums(relief, held, variance)
     assert np.isnan(sums).all()
     assert all(np.isnan(values).all() for each in find_strengths(sums[None], NO_PAIRS[:1, :3]) for values in each)
+
+
+def test_the_likelihood_is_that_of_normal_heights():
+    """Up to a constant; the plane of the tile counts as known to nobody."""
+    rng, (basis, power) = np.random.default_rng(2), cosine_waves()
+    relief, held, _ = tiles(rng, 1, 0.05, 0.02)
+    held = np.minimum(held, 1)
+    sums = wave_sums(relief, held, np.zeros_like(relief))
+    grounds, noises = np.array([0.01, 0.05, 0.2]), np.array([0.01, 0.03])
+    found = np.empty((1, 2, 3), np.float32)
+    loops.weigh_strengths(sums, noises, grounds, 1.0 - power.sum(), found)
+    seen = held.ravel() > 0
+    z, waves = relief.ravel()[seen].astype(float), basis[seen]
+    row, col = np.divmod(np.flatnonzero(seen), PIXELS)
+    plane = np.column_stack((np.ones(len(z)), row, col)) / PIXELS
+    rest = np.linalg.svd(plane)[0][:, 3:]  # contrasts that no plane changes
+    wanted = np.empty((2, 3))
+    for (s, noise), (a, ground) in ((n, g) for n in enumerate(noises) for g in enumerate(grounds)):
+        white = noise**2 + (1.0 - power.sum()) * ground**2
+        covariance = ground**2 * (waves * power) @ waves.T + white * np.eye(len(z))
+        wanted[s, a] = multivariate_normal.logpdf(rest.T @ z, cov=rest.T @ covariance @ rest)
+    np.testing.assert_allclose(found[0] - found[0, 0, 0], wanted - wanted[0, 0], rtol=1e-3, atol=2e-3)
