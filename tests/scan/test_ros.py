@@ -29,7 +29,7 @@ from bumpymap.survey import map_surveys
 
 scan_frames = partial(scan_alone, mapper=map_surveys)
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("without_views")]
 
 
 T0 = 1_700_000_000_000_000_000
