@@ -74,6 +74,8 @@ struct Search {
 
     // Tiles by what a way over them costs at least, the cheapest first; a tile stands there once for each cheaper way.
     using Waiting = std::pair<double, std::int32_t>;
+    // gcc asks for the braces.
+    // NOLINTNEXTLINE(readability-redundant-member-init)
     std::priority_queue<Waiting, std::vector<Waiting>, std::greater<>> waiting{};
 
     // The cost of an open tile in the direction of a move.
