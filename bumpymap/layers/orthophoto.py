@@ -35,6 +35,7 @@ _REMEDY = "Export the orthophoto as a GeoTIFF with red, green and blue of 8 or 1
 
 
 _opened = partial(open_layer, remedy=_REMEDY, GDAL_CACHEMAX=64 << 20)
+"""Opens an orthophoto; GDAL keeps 64 MB of decoded blocks meanwhile (chosen)."""
 
 
 def _warped(file: "DatasetReader", path: Path, crs: CRS | None, **place: Any) -> Any:
