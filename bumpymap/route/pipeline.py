@@ -249,9 +249,8 @@ def _route(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[Route
         unknown = "cross unknown ground with `unknown=COST`, " if config.cost.unknown is None else ""
         raise BadInputError(
             f"there is no way from {first} to {second} on which the vehicle fits. {name_zones(ground, *ends)}"
-            f"{what_closes(ground, *ends)}Choose other points, {unknown}"
-            f"map the survey for another vehicle, or drive through what the map takes for an "
-            "obstacle with `through_obstacles`"
+            f"{what_closes(ground, *ends)}Choose other points, {unknown}map the "
+            "survey for another vehicle, or drive through what the map takes for an obstacle with `through_obstacles`"
         )
     way, remarks = with_line_ride(ground, way, config.calibration)
     if config.visit:

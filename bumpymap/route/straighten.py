@@ -185,7 +185,7 @@ def thin_out(cost: Costs, line: Floats, margin: float, least_saving: float) -> F
     thin = _leave_out(cost, as_margin(margin) + _SPARE, least_saving, line)
     moved = thin.copy()
     loops.leave_borders(cost, moved, _ON_BORDER, _OFF_BORDER)
-    return moved if is_clear(cost, moved, margin) else thin
+    return moved if is_clear(cost, moved, margin) and line_cost(cost, moved) < math.inf else thin
 
 
 def _leave_out(cost: Costs, margin: float, worth: float, line: Floats) -> Floats:

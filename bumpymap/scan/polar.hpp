@@ -55,8 +55,8 @@ constexpr std::uint16_t no_place = 65535;
 constexpr double rounding = 3.0 * (1 << 23);  // its last bit is 2^-28
 inline double exact(double term) { return (term + rounding) - rounding; }
 
-// Four numbers of which a processor computes all at once. Passed by reference alone: how it is passed by value differs
-// between builds.
+// Four numbers of which a processor computes all at once: sectors take 673 instructions a point of a frame of 64 beams
+// where they took 743, by valgrind. Passed by reference alone: how it is passed by value differs between builds.
 using Four [[gnu::vector_size(32)]] = double;
 
 // Adds a term, or four, so rounded.
