@@ -74,8 +74,10 @@ def calibrate_command(run: Run, vehicle: str | None, out: Path, jobs: int | None
         announce = print_line if not (run.quiet or run.as_json) else (lambda _text: None)
         like = _of_other_tiles(vehicle, settings)
         calibration = _calibrate(settings, out, workers, overwrite, again, progress, announce, like)
+    errors = calibration.settings["relative_standard_errors"]
     record = {"out": str(out), "id": calibration.id, "class_limits": calibration.class_limits}
-    run.show(record, _calibration_lines(calibration, out))
+    record["relative_standard_errors"] = errors
+    run.show(record, _calibration_lines(calibration, out, quick))
 
 
 def _of_other_tiles(vehicle: str, settings: CalibrationSettings) -> "Calibration | None":
@@ -136,7 +138,7 @@ def _command_line(settings: CalibrationSettings, vehicle: str, out: Path, quick:
     return shlex.join(words)
 
 
-def _calibration_lines(calibration: "Calibration", out: Path) -> Iterator[str]:
+def _calibration_lines(calibration: "Calibration", out: Path, quick: bool) -> Iterator[str]:
     from bumpymap.core import CLASS_NAMES
     from bumpymap.lab import library_terrains
 
@@ -150,9 +152,15 @@ def _calibration_lines(calibration: "Calibration", out: Path) -> Iterator[str]:
     limits = (0.0, *calibration.class_limits)
     for class_id, (name, low, mean) in enumerate(zip(CLASS_NAMES, limits, calibration.class_c_r, strict=True)):
         yield (
-            f"  class {class_id} {name:10s} from {low:.3f} rad/m ({degrees(low):4.1f} deg/m), "
-            f"mean {mean:.3f} rad/m ({degrees(mean):4.1f} deg/m)"
+            f"  class {class_id} {name:10s} from {low:6.3g} rad/m ({degrees(low):4.1f} deg/m), "
+            f"mean {mean:6.3g} rad/m ({degrees(mean):4.1f} deg/m)"
         )
+    errors = calibration.settings["relative_standard_errors"]
+    yield f"  standard error of c_r, median of terrains: {100 * errors['c_r']:.1f} %"
+    if "class_limits" in errors:
+        yield f"  of the class limits: {', '.join(f'{100 * error:.1f}' for error in errors['class_limits'])} %"
+    if quick:
+        yield "  --quick makes a quarter of the drives: without it these errors are smaller, and the table is finer"
     yield f"wrote {out}"
 
 

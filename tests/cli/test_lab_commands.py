@@ -16,11 +16,11 @@ from bumpymap.cli import lab_commands
 from bumpymap.cli.check_command import prepare_refit, refit_lines, write_refit
 from bumpymap.core import BadInputError, OutputError, UsageError, install_command
 from bumpymap.lab.settings import CalibrationSettings
-from bumpymap.lab.simulate import calibrate as calibrate_module, refit
+from bumpymap.lab.simulate import calibrate as calibrate_module, classes, refit
 from bumpymap.lab.simulate.drive import PatchDrives
 from bumpymap.lab.simulate.motion_fit import MotionRecord
 from bumpymap.lab.terrains import KINDS
-from bumpymap.rating import Calibration, Vehicle
+from bumpymap.rating import Calibration, Correction, Vehicle
 
 pytestmark = pytest.mark.usefixtures("without_views")
 
@@ -120,7 +120,8 @@ def fake_drives(monkeypatch):
         return PatchDrives(("completed",) * 2, (c_r,) * 2)
 
     monkeypatch.setattr(calibrate_module, "run_job", drive)
-    monkeypatch.setattr(refit, "fit_ride", lambda *_: WARTHOG.ride)
+    monkeypatch.setattr(refit, "fit_ride", lambda *_: (ride := Correction.from_record(WARTHOG.ride), [ride] * 2))
+    monkeypatch.setattr(classes, "_LIBRARIES", 2)
     monkeypatch.setattr(refit, "fit_thin_surveys", lambda *_: WARTHOG.thin)
 
 
@@ -141,6 +142,8 @@ def test_a_calibration_is_written_and_summed_up_and_replaced_only_if_told(tmp_pa
     assert "72 drives over textures, 12 failed" in result.output
     assert "34 drives over 17 terrains of the library, 1 failed" in result.output
     assert "class 3 very rough" in result.output
+    assert "of the class limits: 0.0, 0.0, 0.0 %" in result.output  # both fits without a part are the same
+    assert "--quick makes a quarter" in result.output
     assert calibration.id in result.output
     assert [path.name for path in out.parent.iterdir()] == ["warthog.json"]
     out.write_text("mine")

@@ -14,13 +14,14 @@ from hypothesis import given, strategies as st
 from bumpymap.core import SilentProgress
 from bumpymap.core.errors import BumpymapError, OutputError, UsageError
 from bumpymap.lab.settings import CalibrationSettings, DriveSettings
-from bumpymap.lab.simulate import calibrate
-from bumpymap.lab.simulate.drive import PatchDrives, calibrated_settings, library_terrains
+from bumpymap.lab.simulate import calibrate, classes
+from bumpymap.lab.simulate.drive import PatchDrives, calibrated_settings
 from bumpymap.lab.simulate.jobs import DriveJob
 from bumpymap.lab.simulate.motion_fit import SPEED_RATIOS, fit_means, motion_jobs
 from bumpymap.lab.simulate.refit import refit, run_crossing
 from bumpymap.lab.terrains import KINDS
-from bumpymap.rating.calibration import Calibration, DrivenTerrain, shipped_calibrations
+from bumpymap.rating import Correction
+from bumpymap.rating.calibration import Calibration, shipped_calibrations
 from bumpymap.rating.vehicle_profile import Vehicle
 
 WARTHOG = Calibration.shipped("warthog")
@@ -31,23 +32,19 @@ SETTINGS = CalibrationSettings(
 TABLE, LIBRARY = 16, len(KINDS)
 
 
-def terrain(c_r, completed=8, failed=0):
-    return DrivenTerrain("kerb", 0, c_r, 0.01, completed, failed, 0)
-
-
 @given(st.lists(st.floats(0.001, 2.0), min_size=5, max_size=10, unique_by=lambda v: round(v, 4)))
 def test_natural_breaks_are_the_best_of_all_splits(values):
     def spread(groups):
         return sum(((g - g.mean()) ** 2).sum() for g in groups)
 
     x = np.sort(values)
-    limits = calibrate.natural_breaks(np.array(values), 4)
+    limits = classes.natural_breaks(np.array(values), 4)
     found = spread(np.split(x, np.searchsorted(x, limits)))
     best = min(spread(np.split(x, cuts)) for cuts in combinations(range(1, len(x)), 3))
     assert found == pytest.approx(best, rel=1e-9, abs=1e-12)
 
 
-def test_failed_drives_count_in_p_fail_and_not_in_c_r():
+def test_failed_drives_count_in_p_fail_and_not_in_c_r(monkeypatch):
     def drives(*c_r):
         return PatchDrives(tuple("completed" if c is not None else "rolled" for c in c_r), c_r)
 
@@ -58,29 +55,36 @@ def test_failed_drives_count_in_p_fail_and_not_in_c_r():
     library = [("library", kind, index) for kind in KINDS for index in range(4)]
     results |= {name: drives(0.01 * (1 + i)) for i, name in enumerate(library)}
     settings = CalibrationSettings(Vehicle.load("warthog"), patches=3, starts=2, z_range=(0.1, 1.0), terrains=4)
+    monkeypatch.setattr(calibrate, "fit_models", no_models)
     calibration = calibrate.summarise(settings, results)
     assert calibration.p_fail[3][1] == pytest.approx(3 / 6)
     assert calibration.c_r[3][1] == pytest.approx((0.5 + 2.0) / 2)
     assert calibration.c_r_log_sd[3][1] == pytest.approx(math.log(4) / math.sqrt(2))
 
 
-def test_terrains_that_cannot_be_crossed_do_not_move_the_limits():
-    crossed = [terrain(c) for c in (0.1, 0.11, 0.3, 0.31, 0.6, 0.61, 1.0, 1.01)]
-    lost = [terrain(5.0, 5, 3), terrain(None, 0, 8)]
-    kept = [terrain(1.08, 6, 2)]
-    assert (
-        calibrate.class_limits(crossed + lost)
-        == calibrate.class_limits(crossed)
-        == pytest.approx((0.205, 0.455, 0.805))
+def test_limits_are_the_mean_of_the_breaks_of_what_can_be_crossed_and_the_roughest_hardly_move_them():
+    libraries = np.array([np.repeat((0.1, 0.3, 0.6, 1.0), 10), np.repeat((0.2, 0.4, 0.7, 1.1), 10)])
+    none = np.zeros_like(libraries)
+    assert classes.class_limits(libraries, none) == pytest.approx((0.25, 0.5, 0.85))
+    lost = (
+        np.concatenate((libraries, np.full((2, 9), 5.0)), axis=1),
+        np.concatenate((none, np.full((2, 9), 0.6)), axis=1),
     )
-    assert calibrate.class_limits(crossed + kept) == pytest.approx((0.205, 0.455, 0.8175), abs=0.0006)
+    assert classes.class_limits(*lost) == pytest.approx((0.25, 0.5, 0.85))
+    libraries[:, -2:] = 30.0  # two of forty
+    assert classes.class_limits(libraries, none) == pytest.approx((0.25, 0.5, 0.85))
 
 
 def test_vehicle_that_fails_everywhere_and_limits_too_close_together_are_refused():
+    c_r = np.tile(np.linspace(0.1, 0.9, 9), (2, 1))
     with pytest.raises(BumpymapError, match="crosses 3 of 9 terrains"):
-        calibrate.class_limits([terrain(0.1 * i) for i in (1, 2, 3)] + [terrain(0.1, 1, 7)] * 6)
+        classes.class_limits(c_r, np.where(c_r > 0.35, 0.9, 0.0))
     with pytest.raises(BumpymapError, match="too close together"):
-        calibrate.class_limits([terrain(1e-5 * i) for i in range(1, 20)])
+        classes.class_limits(1e-4 * c_r, 0 * c_r)
+
+
+def no_models(*_):
+    return {"class_limits": (0.1, 0.2, 0.4), "class_c_r": (0.05, 0.15, 0.3, 0.6), "ride": {}, "thin": {}}, {}
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +92,7 @@ def without_fits():
     """Only table and library: no crossings, no other speeds, no models."""
     pytest.importorskip("dartpy")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(calibrate, "refit", lambda made: made)
+        patch.setattr(calibrate, "fit_models", no_models)
         patch.setattr(calibrate, "fit_steps", lambda *_: {})
         patch.setattr(calibrate, "fit_motion", lambda *_: SimpleNamespace(to_record=dict))
         for name in ("crossing_jobs", "motion_jobs"):
@@ -124,14 +128,16 @@ def test_real_calibration_rises_with_z_range_and_reads_back(calibration):
     assert Calibration.from_json(calibration.to_json(), "x") == calibration
 
 
-def test_classes_mean_the_same_for_tiles_of_another_size(fake_drives):
-    like = replace(Calibration.shipped("warthog"), class_limits=(0.05, 0.09, 0.13))
-    made = calibrate.calibrate_vehicle(SETTINGS, like=like)
-    assert made.class_limits == like.class_limits
-    c_r = np.array([terrain.c_r for terrain in library_terrains(made)])
-    class_id = np.searchsorted(like.class_limits, c_r, side="right")
-    assert made.class_c_r == pytest.approx([c_r[class_id == k].mean() for k in range(4)])
-    assert like.id in made.settings["class_rule"]
+def test_classes_mean_the_same_for_tiles_of_another_size(monkeypatch):
+    monkeypatch.setattr(classes, "_TERRAINS", 4)
+    own = Calibration.shipped("warthog", tile_size=5.0)
+    ride, like = Correction.from_record(own.ride), replace(WARTHOG, class_limits=(0.05, 0.09, 0.13))
+    found, said = classes.fit_classes(calibrated_settings(own), ride, [ride, ride], like)
+    assert found["class_limits"] == like.class_limits
+    assert like.id in said["class_rule"]
+    edges = (0.0, *like.class_limits, np.inf)
+    assert all(low < mean < high for mean, low, high in zip(found["class_c_r"], edges, edges[1:], strict=False))
+    assert said["relative_standard_errors"] == {"c_r": 0.0}
 
 
 @pytest.mark.later
@@ -251,10 +257,21 @@ def test_shipped_calibration_is_what_this_code_makes(name):
     assert drives.mean_c_r == pytest.approx(made["library"]["fractal_5"]["c_r"][1], rel=0.01)
 
 
+@pytest.mark.later
+def test_shipped_class_limits_follow_from_the_shipped_ride_model():
+    ride = Correction.from_record(WARTHOG.ride)
+    found, said = classes.fit_classes(calibrated_settings(WARTHOG), ride, [ride], None)
+    assert found["class_limits"] == pytest.approx(WARTHOG.class_limits, rel=0.006)  # of three digits
+    assert found["class_c_r"] == pytest.approx(WARTHOG.class_c_r, rel=1e-3)
+    assert said["class_rule"] == WARTHOG.settings["class_rule"]
+
+
 @pytest.mark.parametrize("name", shipped_calibrations())
-def test_shipped_class_limits_and_cell_means_follow_from_the_shipped_drives(name):
+def test_shipped_classes_are_sure_and_the_same_for_tiles_of_every_size_and_cells_follow_from_their_drives(name):
     shipped = Calibration.shipped(name)
-    assert shipped.class_limits == calibrate.class_limits(library_terrains(shipped))
+    assert max(shipped.settings["relative_standard_errors"]["class_limits"]) < 0.06
+    for size in (5.0, 6.0):
+        assert Calibration.shipped(name, tile_size=size).class_limits == shipped.class_limits
     means = [
         [np.mean([c for c in cell if c is not None] or np.nan) for cell in z] for z in shipped.settings["patch_c_r"]
     ]

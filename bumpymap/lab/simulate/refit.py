@@ -1,8 +1,8 @@
 """Fit what needs no drives again, and write it into calibrations: ``python -m bumpymap.lab.simulate.refit FILE...``.
 
 The files are the shipped calibrations if none is named. The terrain library follows from the seed in the file, and the
-file holds its drives: ride model, model of thin surveys and that of other speeds are fitted to them, and tiles with
-steps are rated anew. Class limits and tables stay.
+file holds its drives: ride model, classes, model of thin surveys and that of other speeds are fitted to them, and tiles
+with steps are rated anew. Tables stay.
 
 *Crossings* lead once over one vertical wall between two levels, up or down, at an angle: the probability of failing
 there. *Tiles* have a step across them, well inside, and are rated by the ride model of the calibration, which was
@@ -14,7 +14,7 @@ The heights are multiples of the wheel radius. Results depend only on the calibr
 
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import UsageError, atomic
 from bumpymap.lab.settings import CalibrationSettings
+from bumpymap.lab.simulate.classes import fit_classes
 from bumpymap.lab.simulate.drive import (
     Drive,
     PatchDrives,
@@ -38,7 +39,7 @@ from bumpymap.lab.simulate.jobs import DriveJob, Key
 from bumpymap.lab.simulate.model import relief_and_slope, require_scikit_learn
 from bumpymap.lab.simulate.motion_fit import fit_means
 from bumpymap.lab.simulate.ride_fit import fit_ride, fit_thin_surveys
-from bumpymap.rating import Calibration, RideModel, Vehicle, roll_over
+from bumpymap.rating import Calibration, DrivenTerrain, RideModel, Vehicle, roll_over
 
 _HEIGHTS = (0.02, 0.05, 0.08, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
 """Heights of crossings, m, for wheels of ``_WHEEL_M``; for other radii they are scaled."""
@@ -168,11 +169,26 @@ def cross(settings: CalibrationSettings, ground: WallGround, angle: float, shift
     return drive_from(profile, ground, start, replace(drive, measure_s=total / profile.speed_mps, stuck_share=passed))
 
 
-def refit(calibration: Calibration) -> Calibration:
-    """Return a calibration with newly fitted models of the ride, of thin surveys and of other speeds.
+def fit_models(
+    settings: CalibrationSettings, driven: Sequence[DrivenTerrain], like: Calibration | None
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Fit ride, classes and thin surveys to the drives over the library; ``like``: see `fit_classes`.
 
-    Raises UsageError if it holds no drives over the terrain library, or was moved to real drives, which a fit would
-    forget; or if scikit-learn is not installed.
+    Returns fields of a calibration, and entries of its ``settings``.
+    """
+    terrains = [library_terrain(settings, terrain.kind, terrain.index) for terrain in driven]
+    ride, parts = fit_ride(settings.profile, terrains, driven)
+    models, said = fit_classes(settings, ride, parts, like)
+    record = ride.to_record()
+    return models | {"ride": record, "thin": fit_thin_surveys(settings.profile, terrains, record)}, said
+
+
+def refit(calibration: Calibration, like: Calibration | None = None) -> Calibration:
+    """Return a calibration with newly fitted models of the ride, its classes, thin surveys and other speeds.
+
+    ``like``: a calibration of the vehicle for tiles of another size, whose class limits are taken. Raises UsageError if
+    the calibration holds no drives over the terrain library, or was moved to real drives, which a fit would forget; or
+    if scikit-learn is not installed.
     """
     require_scikit_learn()
     moved = calibration.settings.get("moved_to_drives")
@@ -187,11 +203,9 @@ def refit(calibration: Calibration) -> Calibration:
             f"the calibration {calibration.id} holds no drives over the terrain library. Make one with: "
             "bumpymap calibrate"
         )
-    settings, driven = calibrated_settings(calibration), library_terrains(calibration)
-    terrains = [library_terrain(settings, terrain.kind, terrain.index) for terrain in driven]
-    ride = fit_ride(settings.profile, terrains, driven)
-    thin = fit_thin_surveys(settings.profile, terrains, ride)
-    made = replace(calibration, ride=ride, thin=thin)
+    settings = calibrated_settings(calibration)
+    models, said = fit_models(settings, library_terrains(calibration), like)
+    made = replace(calibration, settings=calibration.settings | said, **models)
     if made.steps:  # its crossings stay
         made = replace(made, steps=made.steps | {"tile": _rated_tiles(made, settings)})
     if made.motion:
@@ -203,7 +217,11 @@ def refit(calibration: Calibration) -> Calibration:
 
 if __name__ == "__main__":
     shipped = Path(str(files("bumpymap.rating") / "data" / "calibrations"))
-    for path in [Path(name) for name in sys.argv[1:]] or sorted(shipped.glob("*.json")):
-        text = refit(Calibration.load(path)).to_json()
+    for path in [Path(name) for name in sys.argv[1:]] or sorted(
+        shipped.rglob("*.json"), key=lambda own: len(own.parts)
+    ):
+        of_other_tiles = path.resolve().parent.parent == shipped  # 5m/NAME.json has the class limits of NAME.json
+        like = Calibration.load(shipped / path.name) if of_other_tiles else None
+        text = refit(Calibration.load(path), like).to_json()
         with atomic(path) as temporary:
             temporary.write_text(text, encoding="utf-8")

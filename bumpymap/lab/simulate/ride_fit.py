@@ -118,7 +118,7 @@ _BEYOND = 0.005
 """Share of the tiles beyond the upper end of the trained strengths."""
 _BARE_TILES = 40
 """Tiles of level ground in each survey that tells what noise alone does."""
-_MANY_POINTS = 1e3
+MANY_POINTS = 1e3
 """Points per pixel of a survey without errors."""
 
 
@@ -140,15 +140,27 @@ class DrivenPatches:
     """(n,) number of failed drives."""
 
 
-def fit_ride(profile: Vehicle, terrains: Sequence[Terrain], driven: Sequence[DrivenTerrain]) -> dict[str, Any]:
-    """Fit a ride model to driven terrains and the drives over them (n each); the calibration's ``ride`` as JSON."""
+def fit_ride(
+    profile: Vehicle, terrains: Sequence[Terrain], driven: Sequence[DrivenTerrain]
+) -> tuple[Correction, list[Correction]]:
+    """Fit a ride model to driven terrains and the drives over them (n each).
+
+    Also returns a fit without each tenth of the terrains: their spread says how sure the first is.
+    """
     operator = RideOperator.of(profile, terrains[0].tile_size, terrains[0].pixels)
     relief, slope = relief_and_slope([terrain.heights for terrain in terrains], terrains[0].tile_size)
     rides = roll_over(relief, operator)
     c_r, error = (np.array([getattr(each, name) for each in driven], np.float64) for name in ("c_r", "c_r_error"))
     completed, failed = (np.array([getattr(each, name) for each in driven]) for name in ("completed", "failed"))
-    patches = DrivenPatches(rides, slope, c_r, error, completed, failed)
-    return fit_correction(patches, _noisy_patches(terrains, rides.pitch_change, operator)).to_record()
+    noisy = _noisy_patches(terrains, rides.pitch_change, operator)
+
+    def fit(kept: NDArray[np.bool_]) -> Correction:
+        own = Rides(*(getattr(rides, field.name)[kept] for field in fields(Rides)))
+        drives = DrivenPatches(own, slope[kept], c_r[kept], error[kept], completed[kept], failed[kept])
+        return fit_correction(drives, noisy)
+
+    part = np.arange(len(driven)) % _FOLDS
+    return fit(part >= 0), [fit(part != number) for number in range(_FOLDS)]
 
 
 def fit_correction(driven: DrivenPatches, noisy: Floats) -> Correction:
@@ -347,7 +359,7 @@ def fit_thin_surveys(profile: Vehicle, terrains: Sequence[Terrain], ride: dict[s
     correction = Correction.from_record(ride)
     relief, slope = relief_and_slope([terrain.heights for terrain in terrains], terrains[0].tile_size)
     none = np.zeros(len(terrains))
-    truth = correction.predict(roll_over(relief, operator), slope, none, none + _MANY_POINTS)
+    truth = correction.predict(roll_over(relief, operator), slope, none, none + MANY_POINTS)
     columns, strength, terrain = zip(*_surveys(terrains, truth.log_c_r, operator), strict=True)
     usual = float(np.hypot(np.exp(np.mean(correction.spread)), correction.model_error))
     felt = _noise_ride(terrains[0], operator)
