@@ -269,7 +269,7 @@ def test_shipped_class_limits_follow_from_the_shipped_ride_model():
 @pytest.mark.parametrize("name", shipped_calibrations())
 def test_shipped_classes_are_sure_and_the_same_for_tiles_of_every_size_and_cells_follow_from_their_drives(name):
     shipped = Calibration.shipped(name)
-    assert max(shipped.settings["relative_standard_errors"]["class_limits"]) < 0.06
+    assert max(shipped.settings["relative_standard_errors"]["class_limits"]) < 0.07
     for size in (5.0, 6.0):
         assert Calibration.shipped(name, tile_size=size).class_limits == shipped.class_limits
     means = [
