@@ -11,6 +11,7 @@ from .detect import (
     open_survey as open_survey,
     project_photo as project_photo,
     project_survey as project_survey,
+    rasters_beside as rasters_beside,
     reopen_survey as reopen_survey,
 )
 from .drive_signals import parse_columns as parse_columns

@@ -214,8 +214,25 @@ def files_at(paths: Iterable[Path], list_folder: Callable[[Path], list[Path]], w
     return [*found.values()]
 
 
+def rasters_beside(paths: Sequence[Path]) -> list[Path]:
+    """Return the rasters in folders among the paths that are no surveys, because the folder holds point clouds."""
+    found = [_clouds_and_rasters(path) for path in paths if path.is_dir()]
+    return sorted(raster for clouds, rasters in found if clouds for raster in rasters)
+
+
 def _surveys_in(folder: Path) -> list[Path]:
     """Return the surveys in a folder and its subfolders, sorted; BadInputError without any."""
+    clouds, rasters = _clouds_and_rasters(folder)
+    if not (clouds or rasters):
+        raise BadInputError(
+            f"the folder {folder} holds no point cloud and no DSM; files ending in {', '.join((*SUFFIXES, *RASTERS))} "
+            "are searched for, in its subfolders too. A file with another suffix can be given by its own path"
+        )
+    return sorted(clouds or rasters)
+
+
+def _clouds_and_rasters(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Return the point clouds, with the surveys of projects, and other rasters in a folder and its subfolders."""
 
     def refuse(error: OSError) -> None:
         raise BadInputError(f"cannot list the folder {error.filename}: {error.strerror}")
@@ -234,13 +251,7 @@ def _surveys_in(folder: Path) -> list[Path]:
         found += [path for path in files if path.name.lower().endswith(SUFFIXES)]
         if not any((place / _MAP).exists() for place in (Path(parent), Path(parent).parent)):
             rasters += [path for path in files if path.name.lower().endswith(RASTERS)]
-    found = found or rasters
-    if not found:
-        raise BadInputError(
-            f"the folder {folder} holds no point cloud and no DSM; files ending in {', '.join((*SUFFIXES, *RASTERS))} "
-            "are searched for, in its subfolders too. A file with another suffix can be given by its own path"
-        )
-    return sorted(found)
+    return found, rasters
 
 
 def _ept_error(path: Path) -> BadInputError:

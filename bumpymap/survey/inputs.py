@@ -9,7 +9,7 @@ import numpy as np
 
 from bumpymap.core import BadInputError, Georeference, MapConfig, Orthophoto, common_georeference, memory_bytes
 from bumpymap.layers import check_extent, open_photo
-from bumpymap.readers import ReadOptions, SurveyInfo, SurveyReader, find_surveys, open_survey
+from bumpymap.readers import ReadOptions, SurveyInfo, SurveyReader, find_surveys, open_survey, rasters_beside
 from bumpytiles import Grid, TileWindow
 
 _log = logging.getLogger(__name__)
@@ -64,6 +64,13 @@ class SurveyInputs:
                 readers.append(open_survey(path, read_options(config, crs_must_agree=crs_must_agree)))
             except BadInputError as error:
                 _skip(path, error, skipped, skip_bad=config.skip_bad)
+        photo = config.photo and config.photo.resolve()
+        if rasters := [path for path in rasters_beside(config.surveys) if path.resolve() != photo]:
+            _log.warning(
+                "not mapped, since the folder holds point clouds: %s. Give a DSM by its own path, an orthophoto as "
+                "`photo='FILE'`",
+                _named(rasters),
+            )
         if not readers:
             raise BadInputError("none of the inputs could be read:", *skipped.values())
         infos = [reader.info for reader in readers]
@@ -82,8 +89,8 @@ class SurveyInputs:
                 "no CRS states a unit: metres are assumed; if they are feet, pass `xy_unit='ft'` or `xy_unit='us-ft'`"
             )
         areas = [info.bounds for info in infos]
-        photo = None if config.photo is None else open_photo(config.photo, georeference, areas)
-        return cls(readers, georeference, config.skip_bad, skipped, photo)
+        orthophoto = None if config.photo is None else open_photo(config.photo, georeference, areas)
+        return cls(readers, georeference, config.skip_bad, skipped, orthophoto)
 
     @property
     def paths(self) -> list[Path]:
@@ -105,9 +112,13 @@ class SurveyInputs:
         try:
             check_extent(grid, window)
         except BadInputError as error:
-            paths = [str(reader.info.path) for reader in self.readers if str(reader.info.path) not in self.skipped]
-            shown = paths if len(paths) <= _NAMED else [*paths[:_NAMED], f"{len(paths) - _NAMED} more"]
-            raise BadInputError(f"{error}. The files read are: {', '.join(shown)}") from error
+            paths = [reader.info.path for reader in self.readers if str(reader.info.path) not in self.skipped]
+            raise BadInputError(f"{error}. The files read are: {_named(paths)}") from error
+
+
+def _named(paths: Sequence[Path]) -> str:
+    more = [f"{len(paths) - _NAMED} more"] if len(paths) > _NAMED else []
+    return ", ".join([*map(str, paths[:_NAMED]), *more])
 
 
 _FAR = 100_000.0

@@ -390,6 +390,15 @@ def test_a_project_of_odm_is_mapped_as_it_is_with_its_orthophoto(tmp_path):
     assert json.loads(CliRunner().invoke(main, ["info", str(odm), "--json"]).stdout)["photo"]
 
 
+def test_rasters_beside_a_cloud_are_named_and_not_mapped(tmp_path):
+    cloud_of_heights(tmp_path / "site" / "cloud.laz")
+    dsm = write_raster(tmp_path / "site" / "dsm.tif", HEIGHTS + 1.0)
+    photo = ortho(tmp_path / "site" / "ortho.tif")
+    said = " ".join(map_to(tmp_path / "out", tmp_path / "site", "--photo", photo).split())
+    assert f"not mapped, since the folder holds point clouds: {dsm}. Give a DSM by its own path" in said
+    assert "not mapped" not in map_to(tmp_path / "alone", tmp_path / "site" / "cloud.laz")
+
+
 @pytest.mark.realdata
 def test_the_two_commands_from_a_pcd_to_nav2_on_a_real_cloud(tmp_path, shared_data):
     page = (Path(__file__).parents[2] / "docs" / "pages" / "slam-to-nav2.md").read_text()

@@ -31,9 +31,9 @@ _LIBRARIES, _TERRAINS = 25, 24
 """Libraries, with the seeds from 1, and terrains of each kind in one. Chosen: a minute; the standard deviation of the
 breaks of one, 10 %, becomes 2 %."""
 _ROUGHEST = 0.05
-"""Share of the terrains whose C_r counts as the least among them. Chosen: by halves of the drives (12 times) the standard
-error of the limits is 1.7 to 2.4 % of the Warthog and 3.8 % at most of the others; 4 to 9 % without it; with a tenth
-3.3 % at most, and the limits of the Warthog fall by another sixth."""
+"""Share of the terrains whose C_r counts as the least among them. Chosen: by halves of the drives (12 times) the
+standard error of the limits is 1.7 to 2.4 % of the Warthog and 3.8 % at most of the others; 4 to 9 % without it; with a
+tenth 3.3 % at most, and the limits of the Warthog fall by another sixth."""
 _LEAST_STEP = 0.001
 """Width of a class, rad/m. Chosen: classes closer together say nothing about the ground."""
 _RULE = (
