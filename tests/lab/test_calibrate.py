@@ -14,11 +14,11 @@ from hypothesis import given, strategies as st
 from bumpymap.core import SilentProgress
 from bumpymap.core.errors import BumpymapError, OutputError, UsageError
 from bumpymap.lab.settings import CalibrationSettings, DriveSettings
-from bumpymap.lab.simulate import calibrate, classes
+from bumpymap.lab.simulate import calibrate, classes, refit as refit_module
 from bumpymap.lab.simulate.drive import PatchDrives, calibrated_settings
 from bumpymap.lab.simulate.jobs import DriveJob
 from bumpymap.lab.simulate.motion_fit import SPEED_RATIOS, fit_means, motion_jobs
-from bumpymap.lab.simulate.refit import refit, run_crossing
+from bumpymap.lab.simulate.refit import run_crossing
 from bumpymap.lab.terrains import KINDS
 from bumpymap.rating import Correction
 from bumpymap.rating.calibration import Calibration, shipped_calibrations
@@ -310,13 +310,23 @@ def test_the_shipped_record_is_what_its_drives_give(name):
     assert made["origin"] == shipped.motion["origin"]
 
 
+def test_limits_of_tiles_of_another_size_stay_when_it_is_fitted_again(monkeypatch):
+    def models(_settings, _driven, like):
+        return {"class_limits": like.class_limits}, {"class_rule": "another"}
+
+    monkeypatch.setattr(refit_module, "fit_models", models)
+    own = Calibration.shipped("warthog", tile_size=5.0)
+    made = refit_module.refit(own)
+    assert (made.class_limits, made.settings["class_rule"]) == (own.class_limits, own.settings["class_rule"])
+
+
 def test_a_calibration_that_was_moved_to_real_drives_or_lacks_the_library_is_refused():
     settings = WARTHOG.settings | {"moved_to_drives": {"calibration_id": WARTHOG.id}}
     with pytest.raises(UsageError, match=f"moved to real drives.*Fit the calibration {WARTHOG.id}.*check --refit"):
-        refit(replace(WARTHOG, settings=settings))
+        refit_module.refit(replace(WARTHOG, settings=settings))
     settings = {key: value for key, value in WARTHOG.settings.items() if key != "library"}
     with pytest.raises(UsageError, match="holds no drives over the terrain library"):
-        refit(replace(WARTHOG, settings=settings))
+        refit_module.refit(replace(WARTHOG, settings=settings))
 
 
 @pytest.mark.later

@@ -43,6 +43,9 @@ _RULE = (
     "degrees and half up to 1.2 times the vehicle's limit; limits rounded to three digits"
 )
 
+LIMITS_OF = "those of the calibration "
+"""How the rule of limits begins that are taken from a calibration for tiles of another size."""
+
 
 def fit_classes(
     settings: CalibrationSettings, ride: Correction, parts: Sequence[Correction], like: Calibration | None
@@ -79,7 +82,7 @@ def fit_classes(
     if like is None:
         errors |= {"class_limits": [_rounded(x) for x in _jackknife([class_limits(*each) for each in others]) / limits]}
     means = tuple(six_digits(crossed[class_id == k].mean()) for k in range(len(CLASS_NAMES)))
-    rule = _RULE if like is None else f"those of the calibration {like.id}, for tiles of {like.tile_size:g} m"
+    rule = _RULE if like is None else f"{LIMITS_OF}{like.id}, for tiles of {like.tile_size:g} m"
     return {"class_limits": limits, "class_c_r": means}, {"class_rule": rule, "relative_standard_errors": errors}
 
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import UsageError, atomic
 from bumpymap.lab.settings import CalibrationSettings
-from bumpymap.lab.simulate.classes import fit_classes
+from bumpymap.lab.simulate.classes import LIMITS_OF, fit_classes
 from bumpymap.lab.simulate.drive import (
     Drive,
     PatchDrives,
@@ -204,7 +204,11 @@ def refit(calibration: Calibration, like: Calibration | None = None) -> Calibrat
             "bumpymap calibrate"
         )
     settings = calibrated_settings(calibration)
+    rule = calibration.settings["class_rule"]
+    if kept := like is None and rule.startswith(LIMITS_OF):  # the calibration that they are of is not at hand
+        like = calibration
     models, said = fit_models(settings, library_terrains(calibration), like)
+    said |= {"class_rule": rule} if kept else {}
     made = replace(calibration, settings=calibration.settings | said, **models)
     if made.steps:  # its crossings stay
         made = replace(made, steps=made.steps | {"tile": _rated_tiles(made, settings)})
