@@ -42,7 +42,6 @@ _RULE = (
     f"{100 * _ROUGHEST:g} % count as the least of them; heights uniform in their logarithm, half of the slopes up to 8 "
     "degrees and half up to 1.2 times the vehicle's limit; limits rounded to three digits"
 )
-
 LIMITS_OF = "those of the calibration "
 """How the rule of limits begins that are taken from a calibration for tiles of another size."""
 
@@ -52,9 +51,9 @@ def fit_classes(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return limits and mean C_r of the classes, as fields of a calibration, and entries of its ``settings``.
 
-    ``parts``: ride models without a share of the drives each, see `fit_ride`; from their spread come the standard
-    errors (jackknife) of the limits, and of C_r: of half of the terrains it is less. ``like``: a calibration for tiles
-    of another size, whose limits are taken.
+    ``parts``: ride models without a share of the drives each, see `fit_ride`; from their spread come the relative
+    standard errors (jackknife) of the limits and of C_r, its median over the terrains. ``like``: a calibration for
+    tiles of another size, whose limits are taken.
 
     Raises BumpymapError if the vehicle can cross too few terrains, or hardly pitches on any.
     """
