@@ -296,7 +296,6 @@ from .types import (
     PointCloud as PointCloud,
     Reason as Reason,
     Texture as Texture,
-    TextureMap as TextureMap,
     VehicleBody as VehicleBody,
     corners_join as corners_join,
     interval_log_sd as interval_log_sd,

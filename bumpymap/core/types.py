@@ -263,19 +263,6 @@ class ObjectStack:
         return {name: getattr(self, name) for name in self.__slots__}
 
 
-@dataclass(frozen=True, slots=True)
-class TextureMap:
-    """Texture probabilities of each tile, from the texture network."""
-
-    probability: NDArray[np.float32]
-    """(n, 4) in the order of ``TEXTURES``, rows sum to 1; NaN for unknown tiles, and without a texture network."""
-
-    @classmethod
-    def unknown(cls, tiles: int) -> "TextureMap":
-        """Return the record of tiles whose texture was not classified."""
-        return cls(np.full((tiles, len(TEXTURES)), np.nan, np.float32))
-
-
 FAIL_SHARE = 0.5
 """If at least this share of the simulated drives fails, the ground is not passable and gets the roughest class."""
 
@@ -423,9 +410,7 @@ THIN_MEASURES = 44
 class CostMap:
     """Rated tiles: everything that is written to the layers."""
 
-    georeference: Georeference
     patches: PatchStack
-    textures: TextureMap
     class_id: NDArray[np.uint8]
     """(n,) class 0 (flattest) to 3 (roughest); ``NO_CLASS`` if unknown."""
     c_r: NDArray[np.float32]
@@ -438,8 +423,9 @@ class CostMap:
     """(n,) share of simulated drives over such ground that roll over or get stuck, 0..1."""
     confidence: NDArray[np.float32]
     """(n,) probability that the class is right, 0..1."""
-    rule: CostRule
-    """Rule by which tiles are passable, and their cost."""
+    probability: NDArray[np.float32] | None = None
+    """(n, 4) probability of each texture in the order of ``TEXTURES``, rows sum to 1; NaN for unknown tiles. None
+    without a texture network."""
     objects: ObjectStack | None = None
     """Objects on the ground; None where that is part of the relief, because all points are measured as ground."""
     all_density: NDArray[np.float32] | None = None
@@ -453,20 +439,17 @@ class CostMap:
 
     def band(self, name: str) -> NDArray[np.floating]:
         """Return the values of one of ``BANDS``, (n,)."""
-        owner = self if name in self.__slots__ else self.patches
-        values: NDArray[np.floating] = getattr(owner, name)
+        values: NDArray[np.floating] = getattr(self if hasattr(self, name) else self.patches, name)
         return values
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns of `rated_columns`, one row for each tile."""
         objects = self.objects or ObjectStack.empty(len(self.class_id), self.patches.grid.pixels)
-        own: dict[str, NDArray[Any]] = {"class_id": self.class_id, "probability": self.textures.probability}
-        own |= objects.columns()
-        tiles = len(self.class_id)
-        own["thin"] = np.full((tiles, THIN_MEASURES), np.nan, np.float32) if self.thin is None else self.thin
-        unseen = np.full(tiles, np.nan, np.float32)
-        seen = {name: getattr(self, name) for name in ("all_density", "smallest_object")}
-        own |= {name: unseen if values is None else values for name, values in seen.items()}
+        own: dict[str, NDArray[Any]] = {"class_id": self.class_id, **objects.columns()}
+        shapes = {"probability": (len(TEXTURES),), "thin": (THIN_MEASURES,), "all_density": (), "smallest_object": ()}
+        for name, shape in shapes.items():
+            values = getattr(self, name)
+            own[name] = np.full((len(self.class_id), *shape), np.nan, np.float32) if values is None else values
         own |= {} if self.headings is None else {"headings": self.headings}
         names = [column.name for column in rated_columns(self.patches.grid.pixels) if column.name not in own]
         return {name: self.band(name) for name in names} | own

@@ -20,7 +20,6 @@ from bumpymap.core import (
     BadInputError,
     PatchStack,
     Reason,
-    TextureMap,
     UsageError,
     check_network,
     metadata_of,
@@ -162,8 +161,8 @@ class TextureModel:
         return cls(content, metadata, tile_size, pixels)
 
 
-def classify(patches: PatchStack, model: TextureModel) -> TextureMap:
-    """Classify the texture of n tiles: (n, 4) probabilities; NaN where ``reason`` is not 0.
+def classify(patches: PatchStack, model: TextureModel) -> NDArray[np.float32]:
+    """Classify the texture of n tiles: (n, 4) probabilities, see `CostMap`; NaN where ``reason`` is not 0.
 
     Raises UsageError if the network was trained for tiles of another size or another number of pixels.
     """
@@ -177,7 +176,7 @@ def classify(patches: PatchStack, model: TextureModel) -> TextureMap:
     rise = np.tan(np.radians(patches.slope[known])) * patches.grid.pixel_size
     measures = measures_of(relief, patches.spread_count[known], patches.spread_variance[known], rise)
     probability[known] = infer(model, scaled.reshape(relief.shape), measures)
-    return TextureMap(probability)
+    return probability
 
 
 def infer(model: TextureModel, scaled: NDArray[np.float32], measures: NDArray[np.float32]) -> NDArray[np.float32]:

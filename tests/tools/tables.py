@@ -17,7 +17,7 @@ import pandas as pd
 from survey_tiles import MeasuredSurvey
 
 import bumpymap
-from bumpymap.core import CLASS_NAMES, Georeference
+from bumpymap.core import CLASS_NAMES
 from bumpymap.lab.evaluate import number, percent, table
 from bumpymap.rating import Calibration, TextureModel, classify, rate_as_paper
 from bumpymap.readers import ReadOptions, find_frames, read_scan
@@ -75,7 +75,7 @@ def second_table(surveys, crs, heightmap_bytes):
         return list(survey.measured(islice(survey.buckets.blocks(), MOST_BLOCKS)))
 
     def judged(stacks):
-        return [rate_as_paper(one, classify(one, network), calibration, Georeference(None)) for one in stacks]
+        return [rate_as_paper(one, classify(one, network), calibration) for one in stacks]
 
     judged(measured())  # loads code and network
     start = time.process_time()
