@@ -99,28 +99,21 @@ def survey_record(
     made from those of all; None if a file has none. ``dates``: the first and the last in the headers, ISO 8601; None if
     no header has one.
     """
+    paths = [Path(abspath(file)) for file in files]  # noqa: PTH100 (resolve() follows links)
+    if len(paths) == 1:
+        name = paths[0].stem.removesuffix(".copc") or paths[0].name
+    else:
+        folders = {path.parent for path in paths} if len(given) > 1 else {Path(abspath(given[0]))}  # noqa: PTH100
+        name = (folders.pop().name if len(folders) == 1 else "") or f"{len(files)} files"
     known = [checksum for checksum in checksums if checksum is not None]
     whole = len(known) == len(files)
     days = sorted(day for day in dates if day is not None)
     return {
-        "name": _printable(_name(given, files)),
+        # Metadata of layers cannot hold what is not text: bytes that are not UTF-8, control characters.
+        "name": "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name),
         "checksum": None if not whole else known[0] if len(known) == 1 else join_checksums(known),
         "dates": [days[0].isoformat(), days[-1].isoformat()] if days else None,
     }
-
-
-def _name(given: Sequence[Location], files: Sequence[Location]) -> str:
-    paths = [Path(abspath(file)) for file in files]  # noqa: PTH100 (resolve() follows links)
-    if len(paths) == 1:
-        return paths[0].stem.removesuffix(".copc") or paths[0].name
-    folders = {path.parent for path in paths} if len(given) > 1 else {Path(abspath(given[0]))}  # noqa: PTH100 (as above)
-    name = folders.pop().name if len(folders) == 1 else ""
-    return name or f"{len(files)} files"
-
-
-def _printable(name: str) -> str:
-    """Replace what is not text (bytes that are not UTF-8, control characters): metadata of layers cannot hold it."""
-    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name)
 
 
 _WITHOUT_EFFECT = {"surveys", "max_unknown"}
@@ -208,7 +201,7 @@ def run_manifest(
         "ground_only": measured.ground_only,
         **({"tiles_from_all_points": measured.from_all} if measured.from_all else {}),
         "points": measured.points,
-        "flight_lines": lines.to_record(),
+        "flight_lines": lines,
         "model": models.texture_id,
         **({"photo": run_spec["made with"]["photo"]} if config.photo else {}),
         "calibration": {

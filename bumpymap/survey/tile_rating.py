@@ -146,7 +146,10 @@ class TileRating:
             rating = rate_as_paper if config.compat == "paper" else rate
             rated = rating(bare, np.asarray(probability), self.models.calibration)
         # How thin a tile is, and whether it has holes, depends on its survey, and not on standing objects.
-        thin = self._thin(points, patches, on_ground, bare.count)
+        thin = None
+        if self.ride is not None:
+            pairs, maps = measure_thin(points, patches, config.features, ground_only=on_ground)
+            thin = thin_columns(pairs, maps, bare.count, self.ride.operator)
         measured = replace(patches, relief=bare.relief, slope=bare.slope, reason=bare.reason)
         if objects is not None:
             states, size = objects.objects, points.grid.tile_size
@@ -155,15 +158,3 @@ class TileRating:
             smallest = smallest_object(held, count, size, in_relief=not ground_only)
             rated = replace(rated, all_density=(count / size**2).astype(np.float32), smallest_object=smallest)
         return replace(rated, patches=measured, objects=objects, thin=thin).columns()
-
-    def _thin(
-        self, points: TilePoints, patches: PatchStack, ground_only: bool, count: NDArray[np.int64]
-    ) -> NDArray[np.float32] | None:
-        """Return what the second pass needs to rate thin tiles; None if they are not rated.
-
-        ``count`` (n,) are their points on the ground.
-        """
-        if self.ride is None:
-            return None
-        pairs, maps = measure_thin(points, patches, self.config.features, ground_only=ground_only)
-        return thin_columns(pairs, maps, count, self.ride.operator)

@@ -342,7 +342,13 @@ class Worker:
 
     def _finish_early(self, keys: Sequence[BlockKey]) -> tuple[tuple[Path, ...], ...]:
         """Rate blocks for every kind, before it is known which points the run will use; return their packs by kind."""
-        self._work.finish_early(self._store, keys, self._threads, self._sinks, self._around)
+        finished = self._work.finish(self._store, keys, self._threads, tuple(self._sinks), self._around)
+        for key, columns in finished:
+            marks = tile_marks(self._store.flags(key))
+            for kind, sink in self._sinks.items():
+                sink.add(key, columns[kind], marks)
+        for sink in self._sinks.values():
+            sink.flush()
         return tuple(tuple(sink.new_packs()) for sink in self._sinks.values())
 
     def _unfinished_packs(self) -> tuple[tuple[Path, NDArray[np.int64]], ...]:
