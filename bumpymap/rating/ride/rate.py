@@ -30,9 +30,9 @@ from bumpymap.core import (
 )
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride.correction import Correction, Prediction, class_chance
-from bumpymap.rating.ride.motion_operator import move_over, roll_over
+from bumpymap.rating.ride.motion_operator import MotionOperator, move_over, roll_over
 from bumpymap.rating.ride.operator import RideOperator, cosines
-from bumpymap.rating.ride.speed import LEVEL, SpeedRating, plain_speed_factor, speed_log_sd
+from bumpymap.rating.ride.speed import LEVEL, motion_factors, plain_speed_factor, speed_log_sd
 from bumpymap.rating.vehicle_body import with_floor
 
 _STEEPNESS = (2.0, 2.6, 3.2, 3.8, 4.5)
@@ -104,10 +104,11 @@ class RideModel:
         self.operator = RideOperator.of(calibration.profile, calibration.tile_size, calibration.pixels)
         self.correction = Correction.from_record(calibration.ride)
         self.headings = headings
-        self.speed: SpeedRating | None = None
+        self.moving: MotionOperator | None = None
         """Of a map at another speed than the profile's."""
         if calibration.map_speed != float(calibration.vehicle["speed_mps"]):
-            self.speed = SpeedRating.of(calibration, ())
+            size = calibration.tile_size, calibration.pixels
+            self.moving = MotionOperator.of(calibration.profile, *size, (calibration.map_speed,))
 
     def _predict(self, patches: PatchStack, by_axis: Floats | None) -> Prediction:
         """Predict C_r and p_fail of n tiles, NaN where a tile cannot be judged.
@@ -123,10 +124,10 @@ class RideModel:
         pixel_points = patches.count / patches.grid.pixels**2
         noise_felt = noise * self.operator.noise_gain
         found = self.correction.predict(rides, patches.slope.astype(np.float64), noise_felt, pixel_points)
-        if self.speed is None:
+        if self.moving is None:
             return found
-        motions = move_over(relief_map, self.speed.operator)
-        log_ratio, _ = self.speed.factors_of(motions, rides.pitch_change)
+        motions = move_over(relief_map, self.moving)
+        log_ratio, _ = motion_factors(self.calibration, self.moving.speeds, motions, rides.pitch_change)
         level = plain_speed_factor(self.calibration, found.log_c_r)
         log_ratio = np.where(np.isnan(log_ratio), level, log_ratio)
         return found.at_speed(log_ratio, speed_log_sd(self.calibration))
