@@ -129,7 +129,6 @@ from .memory import (
 from .onnx_file import (
     check_network as check_network,
     metadata_of as metadata_of,
-    onnx_runtime as onnx_runtime,
     read_network as read_network,
     session as session,
     shipped_network as shipped_network,
@@ -197,7 +196,6 @@ from .scan_types import (
     SectorRide as SectorRide,
     SectorStack as SectorStack,
     cell_numbers as cell_numbers,
-    first_cells as first_cells,
     sector_bounds as sector_bounds,
 )
 from .seen_sizes import (

@@ -17,7 +17,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import weakref
 from collections import deque
@@ -58,11 +57,7 @@ class SharedMemory:
     """First-fit allocator of shared memory. Thread-safe."""
 
     def __init__(self) -> None:
-        if hasattr(os, "memfd_create"):
-            self.descriptor = os.memfd_create("bumpymap")
-        else:
-            with tempfile.TemporaryFile() as file:
-                self.descriptor = os.dup(file.fileno())
+        self.descriptor = os.memfd_create("bumpymap")
         # Arrays may be garbage-collected at any moment, so their offsets are recorded without a lock.
         self._freed: deque[int] = deque()
         self._ends: dict[int, int] = {}

@@ -39,7 +39,6 @@ from .ride.line import (
 )
 from .ride.motion_operator import (
     MotionOperator as MotionOperator,
-    Motions as Motions,
     Rides as Rides,
     felt_response as felt_response,
     heave_filter as heave_filter,
@@ -105,10 +104,8 @@ from .vehicle_body import (
     with_floor as with_floor,
 )
 from .vehicle_profile import (
-    KEYS as KEYS,
     Vehicle as Vehicle,
     estimated_values as estimated_values,
-    flat_profile as flat_profile,
     shipped_profiles as shipped_profiles,
     write_profile_template as write_profile_template,
 )

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from bumpymap.core import (
     TEXTURES,
     BadInputError,
+    Floats,
     PatchStack,
     Reason,
     UsageError,
@@ -35,8 +36,6 @@ train again."""
 MEASURES = 3
 """Length of a row of `measures_of`."""
 
-_Floats = NDArray[np.float64]
-
 
 def normalise(patches: NDArray[np.floating]) -> NDArray[np.float32]:
     """Scale each patch (n, pixels, pixels) without NaN to [0, 1] by its own extremes, as the texture network takes it.
@@ -45,12 +44,12 @@ def normalise(patches: NDArray[np.floating]) -> NDArray[np.float32]:
     """
     low = patches.min(axis=(1, 2), keepdims=True).astype(np.float64)  # extremes need no double precision
     span = patches.max(axis=(1, 2), keepdims=True) - low
-    scaled: _Floats = patches - low
+    scaled: Floats = patches - low
     scaled /= np.where(span > 0, span, 1.0)
     return scaled.astype(np.float32)
 
 
-def remove_plane(patches: NDArray[np.floating]) -> _Floats:
+def remove_plane(patches: NDArray[np.floating]) -> Floats:
     """Subtract the least-squares plane from each patch (n, pixels, pixels) without NaN.
 
     On a full square of pixels the regressors 1, x, y (centred) are orthogonal, so each coefficient is one dot product.
@@ -62,12 +61,12 @@ def remove_plane(patches: NDArray[np.floating]) -> _Floats:
     slope_row = np.einsum("nij,i->n", heights, axis) * weight
     slope_col = np.einsum("nij,j->n", heights, axis) * weight
     plane = slope_row[:, None, None] * axis[:, None] + slope_col[:, None, None] * axis[None, :]
-    residual: _Floats = heights - plane
+    residual: Floats = heights - plane
     return residual
 
 
 def measures_of(
-    relief_map: NDArray[np.floating], count: NDArray[np.integer], variance: NDArray[np.floating], rise: _Floats
+    relief_map: NDArray[np.floating], count: NDArray[np.integer], variance: NDArray[np.floating], rise: Floats
 ) -> NDArray[np.float32]:
     """Return what the network is given of a tile's metres beside its scaled patch, (n, 3).
 

@@ -295,7 +295,7 @@ class ClusterExecutor:
         def source(part: ChunkRange) -> FileSource:
             path = plan.readers[part.file].info.path
             known = inputs[str(path)]
-            return path if isinstance(path, str) else path.absolute(), (known["size"], known["digest"])
+            return path.absolute(), (known["size"], known["digest"])
 
         tasks = ((self._context, [source(part) for part in task.ranges], task) for task in shared)
         with closing(self._workers.run(read_ranges, tasks)) as results:
