@@ -168,8 +168,6 @@ def classify(patches: PatchStack, model: TextureModel) -> NDArray[np.float32]:
     model.require_grid(patches.grid.tile_size, patches.grid.pixels)
     known = np.flatnonzero(patches.reason == Reason.OK)
     relief = patches.relief_map[known]
-    if not np.isfinite(relief).all():
-        raise ValueError("a tile with reason 0 has NaN in its relief_map")
     probability = np.full((len(patches.reason), len(TEXTURES)), np.nan, np.float32)
     scaled = normalise(relief.reshape(len(relief), 1, model.pixels**2))  # min and max over one axis are 4 times faster
     rise = np.tan(np.radians(patches.slope[known])) * patches.grid.pixel_size

@@ -31,9 +31,6 @@ from bumpymap.rating.vehicle_profile import Vehicle
 
 QUANTITIES = ("c_r", "a_w")
 """Predicted at each speed: rad/m, m/s2."""
-_TERMS = {"c_r": 6, "a_w": 10}
-_PLAIN_TERMS = {"c_r": 5, "a_w": 6}
-"""Numbers of coefficients of `motion_terms` and of `plain_terms`."""
 _LEAST = 1e-5
 """Geometric values below are rounding errors, rad/m and m/s2."""
 
@@ -60,6 +57,8 @@ class MotionModel(Coefficients):
 
     model = "the record of speeds"
     parts = dict.fromkeys(QUANTITIES, MotionFit.from_record)
+    lengths = {"range": 2, "log_range": 2, "log_c_r_range": 2}  # noqa: RUF012 (a ClassVar of the base)
+    lengths |= {"c_r.terms": 6, "a_w.terms": 10, "c_r.plain": 5, "a_w.plain": 6}
 
     range: tuple[float, float]
     """Lowest and highest speed that may be asked for, as shares of the profile's."""
@@ -71,15 +70,6 @@ class MotionModel(Coefficients):
     a_w: MotionFit
     origin: dict[str, Any]
     """The data of the fit, and its errors."""
-
-    def require_lengths(self) -> None:
-        """Raise ValueError if there are too few or too many coefficients."""
-        if any(len(ends) != 2 for ends in (self.range, self.log_range, self.log_c_r_range)):
-            raise ValueError("a range has no two ends")
-        for name in QUANTITIES:
-            lengths = tuple(len(getattr(getattr(self, name), kind)) for kind in ("terms", "plain"))
-            if lengths != (_TERMS[name], _PLAIN_TERMS[name]):
-                raise ValueError(f"{lengths[0]} and {lengths[1]} coefficients of {name}")
 
     def plain_log_factors(self, c_r: Floats, log_speed: Floats) -> Floats:
         """Return ln of each of ``QUANTITIES`` over the C_r at the profile's speed, rad/m, from it, (..., k, 2).
