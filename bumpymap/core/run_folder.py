@@ -415,7 +415,14 @@ class RunFolder:
         """
         path = work_folder(out)
         with writing_to(path):
-            _make_own(path)
+            with suppress(FileExistsError):
+                path.mkdir(mode=0o700, parents=True)
+            if not is_own_folder(path, path.parent):
+                raise OutputError(
+                    f"{path} is a link, a file or belongs to another user, and was not touched: a run keeps its "
+                    "checkpoints there. Remove it, or choose another `out`"
+                )
+            path.chmod(0o700)
             before = read_record(path / _RUN_SPEC)
             if shape_fault(before, _SPEC_SHAPE):
                 before = None  # damaged, as one that cannot be parsed: what is there cannot be trusted
@@ -475,17 +482,6 @@ def clean_folder(path: Path, *, everything: bool = False, keep: Collection[str] 
                     os.unlink(name, dir_fd=folder)
     finally:
         os.close(descriptor)
-
-
-def _make_own(path: Path) -> None:
-    with suppress(FileExistsError):
-        path.mkdir(mode=0o700, parents=True)
-    if not is_own_folder(path, path.parent):
-        raise OutputError(
-            f"{path} is a link, a file or belongs to another user, and was not touched: a run keeps its checkpoints "
-            "there. Remove it, or choose another `out`"
-        )
-    path.chmod(0o700)
 
 
 def _remove(path: Path) -> None:

@@ -94,12 +94,6 @@ class SurveyInputs:
         """Skip a file that turned out to be bad while it was read; raise ``error`` if bad inputs end the run."""
         _skip(reader.info.path, error, self.skipped, skip_bad=self.skip_bad)
 
-    def sort_skipped(self) -> None:
-        """Bring those that were skipped while they were read into the order of the files."""
-        for reader in self.readers:
-            if (why := self.skipped.pop(str(reader.info.path), None)) is not None:
-                self.skipped[str(reader.info.path)] = why
-
     def check_window(self, grid: Grid, window: TileWindow) -> None:
         """Raise BadInputError, naming the files, if their tiles span more than a raster may."""
         try:
