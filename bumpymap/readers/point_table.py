@@ -238,7 +238,7 @@ class TableSurvey(SurveyReader):
             points: Floats = np.column_stack([np.asarray(rows[name], np.float64) for name in self._columns])
         points = points[np.isfinite(points).all(axis=1)]
         first = Place(table.path, (points[0, 0], points[0, 1], points[0, 2]) if len(points) else None)
-        place, notes = georeference(first, CrsStatement(), options.given_crs, options.z_unit)
+        place, notes = georeference(first, CrsStatement(), options)
         if not head.is_text:
             east, north, up = _steps(points, [head.types[name] for name in self._columns])
             step, step_z = max(east, north) * place.metres_per_unit, up * place.metres_per_unit_z

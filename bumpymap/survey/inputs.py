@@ -22,15 +22,15 @@ def read_options(config: MapConfig, *, crs_must_agree: bool = False) -> ReadOpti
     """Return the settings that the readers need."""
     return ReadOptions(
         config.crs,
+        config.force_crs,
+        crs_must_agree,
+        config.xy_unit,
         config.z_unit,
         config.trust_points,
         memory_bytes(config.memory),
         lines=config.align != "off",
-        force_crs=config.force_crs,
-        crs_must_agree=crs_must_agree,
         ground_classes=config.ground_classes,
         colour=config.photo is None,
-        xy_unit=config.xy_unit,
         dtm=config.dtm,
         pixel_m=config.grid.pixel_size,
     )

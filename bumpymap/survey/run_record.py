@@ -34,7 +34,7 @@ from bumpymap.layers import (
     verified_record,
 )
 from bumpymap.patches import filter_version
-from bumpymap.readers import Location, SurveyInfo, hash_survey, identity
+from bumpymap.readers import Location, hash_survey, identity
 from bumpymap.survey.engine import Budget, MeasuredTiles
 from bumpymap.survey.flight_lines import FlightLines
 from bumpymap.survey.inputs import SurveyInputs
@@ -188,7 +188,19 @@ def run_manifest(
             [checksum for _, _, checksum in read],
             [info.header_date for info, _, _ in read],
         ),
-        "inputs": [_input_record(*each) for each in read],
+        "inputs": [
+            {
+                "path": str(info.path),
+                "format": info.format,
+                "points": info.point_count,
+                "dropped": dropped,
+                "notes": info.notes,
+                "bytes": info.version["size"],
+                "mtime_ns": info.version["mtime_ns"],
+                "checksum": checksum,
+            }
+            for info, dropped, checksum in read
+        ],
         "skipped": {str(path): why for path, why in skipped.items()},
         "warnings": list(dict.fromkeys((*warnings, *(f"skipped {path}: {why}" for path, why in skipped.items())))),
         "skipped_inputs": [
@@ -231,15 +243,3 @@ def _identity(path: Path, *, required: bool) -> dict[str, Any] | None:
         if required:
             raise
         return None
-
-
-def _input_record(info: SurveyInfo, dropped: dict[str, int], checksum: str | None) -> dict[str, Any]:
-    record = {
-        "path": str(info.path),
-        "format": info.format,
-        "points": info.point_count,
-        "dropped": dropped,
-        "notes": info.notes,
-    }
-    version = dict(info.version or {})
-    return record | {"bytes": version.pop("size", info.size_bytes)} | version | {"checksum": checksum}
