@@ -302,5 +302,6 @@ from .types import (
     photo_column as photo_column,
     rated_columns as rated_columns,
     tile_columns as tile_columns,
+    tiles_of as tiles_of,
     within as within,
 )

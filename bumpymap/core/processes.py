@@ -240,11 +240,6 @@ class Child:
             self.process.kill()
             self.process.wait()
 
-    def abandon(self) -> None:
-        """Close the connection after a fork, in the new process: the child belongs to the old one."""
-        self.link.close()
-        self.process.returncode = 0  # nothing to wait for
-
     def _raise_child_died(self) -> NoReturn:
         try:
             code = self.process.wait(_MOST_WAIT_S)
@@ -365,8 +360,9 @@ _children: "weakref.WeakSet[Child]" = weakref.WeakSet()
 def _abandon_children() -> None:
     global MEMORY  # noqa: PLW0603 (the old process keeps its own)
     MEMORY = SharedMemory()
-    for child in _children:
-        child.abandon()
+    for child in _children:  # they belong to the old process
+        child.link.close()
+        child.process.returncode = 0  # nothing to wait for
 
 
 os.register_at_fork(after_in_child=_abandon_children)

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Value = TypeVar("Value", bound=np.generic)
 
 THIN_POINTS = 4
 """A thin tile with fewer points is unknown: three lie on a plane, whatever the ground."""
@@ -389,6 +390,12 @@ def within(marks: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
             line = counts[reach + down :][:rows]
             near |= line[:, reach + half + 1 :][:, :cols] > line[:, reach - half :][:, :cols]
     return near
+
+
+def tiles_of(mosaic: NDArray[Value], pixels: int) -> NDArray[Value]:
+    """Cut a mosaic of tiles, (n * pixels, m * pixels), into these: (n, m, pixels, pixels)."""
+    rows, cols = (side // pixels for side in mosaic.shape)
+    return mosaic.reshape(rows, pixels, cols, pixels).swapaxes(1, 2)
 
 
 def corners_join(width_m: float, reach_m: float, pixel_m: float) -> bool:

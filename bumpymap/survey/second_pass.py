@@ -39,6 +39,7 @@ from bumpymap.core import (
     VehicleBody,
     neighbour_columns,
     smallest_step,
+    tiles_of,
 )
 from bumpymap.patches import settle_solids
 from bumpymap.rating import (
@@ -356,10 +357,7 @@ class NeighbourRating:
 
     def _inner(self, mosaic: NDArray[_Value]) -> NDArray[_Value]:
         """Cut the inner tiles out of a mosaic, (n, m, pixels, pixels)."""
-        px = self.config.pixels
-        rows, cols = (side // px for side in mosaic.shape)
-        apart = mosaic.reshape(rows, px, cols, px).swapaxes(1, 2)
-        return apart[self.rings : -self.rings, self.rings : -self.rings]
+        return tiles_of(mosaic, self.config.pixels)[self.rings : -self.rings, self.rings : -self.rings]
 
 
 @dataclass(frozen=True, slots=True)
