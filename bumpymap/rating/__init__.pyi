@@ -104,8 +104,10 @@ from .vehicle_body import (
     with_floor as with_floor,
 )
 from .vehicle_profile import (
+    KEYS as KEYS,
     Vehicle as Vehicle,
     estimated_values as estimated_values,
+    flat_profile as flat_profile,
     shipped_profiles as shipped_profiles,
     write_profile_template as write_profile_template,
 )
