@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtr
 
-from bumpymap.core import NORMAL_80, Floats
+from bumpymap.core import NORMAL_80, Floats, tiles_of
 from bumpymap.layers import SurveyPair
 from bumpytiles import TileWindow
 
@@ -285,7 +285,7 @@ def _layers(pair: SurveyPair, blocks: list[_Block], cell: int, whole: Floats) ->
         slopes = (*_gradient(first, pair.cell_m(cell)), *_gradient(second, pair.cell_m(cell)))
         inner = [one[side:-side, side:-side] for one in (*slopes, second - first)]
         place = [np.broadcast_to(one, inner[0].shape) for one in _middles(pair, block, cell)]
-        found = np.stack([_tiles(one, side) for one in (*place, *inner)], axis=-1).reshape(-1, side**2, 7)
+        found = np.stack([tiles_of(one, side) for one in (*place, *inner)], axis=-1).reshape(-1, side**2, 7)
         enough = np.isfinite(found).all(axis=-1).sum(axis=1) >= LEAST_CELLS
         parts.append(found[enough])
         numbers.append(np.full(int(enough.sum()), number))
@@ -352,12 +352,6 @@ def _gradient(heights: Floats, size: float) -> tuple[Floats, Floats]:
         line = np.nansum(rows, axis=0) / np.where(count > 0, count, np.nan)
         out.append((line[:, 2:] - line[:, :-2]) / (2.0 * size))
     return out[0], -out[1].T
-
-
-def _tiles(mosaic: Floats, side: int) -> Floats:
-    """Cut a mosaic into tiles of ``side`` x ``side`` cells, (n, side, side), north row first."""
-    rows, cols = (length // side for length in mosaic.shape)
-    return mosaic.reshape(rows, side, cols, side).swapaxes(1, 2).reshape(-1, side, side)
 
 
 def height_offset(pair: SurveyPair, cell: int, registration: Registration) -> float:
@@ -451,7 +445,7 @@ def _differences(pair: SurveyPair, cell: int, registration: Registration) -> Ite
         if registration.tilt.any():
             east, north = _middles(pair, strip, cell)
             difference -= registration.tilt[0] * east + registration.tilt[1] * north
-        yield _tiles(difference, side)
+        yield tiles_of(difference, side).reshape(-1, side, side)
 
 
 _LEAST_OWN = 0.5

@@ -38,7 +38,7 @@ _COMMANDS = {
     "export": "write a map for robots: Nav2, grid_map, a mission",
     "info": "report what a survey contains and what a run needs",
     "map": "make roughness layers and a cost map from surveys",
-    "report": "make the page of a map, or of a comparison, again",
+    "report": "make the page of a map again",
     "route": "find the cheapest way over mapped ground",
     "scan": "classify the ground in LiDAR scans of a robot, and map its drive",
     "settings": "print every setting of a command, as a TOML file",

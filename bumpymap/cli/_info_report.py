@@ -3,7 +3,7 @@
 import math
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -335,7 +335,7 @@ class Report:
                     str(code): None if math.isnan(height) else round(height, 3)
                     for code, (_, _, height) in summary.classes.items()
                 },
-                "flight_lines": file.lines.to_record(),
+                "flight_lines": asdict(file.lines),
             }
         return record if file.dropped is None else record | {"dropped": file.dropped}
 

@@ -35,8 +35,8 @@ def command(run: Run, quick: bool) -> None:
     """  # noqa: D301 (click wants the character)
     from bumpymap.cli._info_report import Report
     from bumpymap.core import FeatureSettings, memory_bytes
-    from bumpymap.readers import PointSummaryBuilder, ReadOptions, find_surveys, project_photo
-    from bumpymap.survey import Budget, with_memory
+    from bumpymap.readers import PointSummaryBuilder, find_surveys, project_photo
+    from bumpymap.survey import Budget, read_options, with_memory
 
     logging.getLogger("bumpymap").setLevel(logging.ERROR)  # warnings of the readers are in the report
     # Checks that the settings are valid for a run.
@@ -44,19 +44,7 @@ def command(run: Run, quick: bool) -> None:
     config = replace(config, photo=project_photo(config.surveys))
     limited = with_memory(config)
     grid, budget = config.grid, Budget(memory_bytes(limited.memory), config.threads)
-    options = ReadOptions(
-        config.crs,
-        config.z_unit,
-        config.trust_points,
-        budget.memory,
-        lines=True,
-        force_crs=config.force_crs,
-        ground_classes=config.ground_classes,
-        keep_classes=True,
-        xy_unit=config.xy_unit,
-        dtm=config.dtm,
-        pixel_m=grid.pixel_size,
-    )
+    options = replace(read_options(limited), lines=True, keep_classes=True, colour=False)
     paths = find_surveys(config.surveys)
     with show_progress(quiet=run.quiet or run.as_json, as_json=run.as_json) as progress:
         whole = None if quick else PointSummaryBuilder(grid, FeatureSettings(), config.ground_classes)

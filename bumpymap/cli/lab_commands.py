@@ -321,20 +321,18 @@ evaluate_command.add_command(evaluate_scans_command)
 def _scan_lines(findings: "ScanFindings") -> Iterator[str]:
     from bumpymap.lab import percent
 
-    if findings.accuracy:
-        yield f"{findings.facts['labelled']:,} labelled sectors with ground"
+    yield f"{findings.facts['labelled']:,} labelled sectors with ground"
     for name, found in findings.accuracy.items():
         recalls = ", ".join(percent(recall) for recall in found.recall)
         yield (
             f"  {name:14s} right {percent(found.right):>7s}   balanced {percent(found.even):>7s}   "
             f"recall of 0, 1, 2: {recalls}"
         )
-    if findings.ground:
-        mean = findings.ground[-1]
-        yield (
-            f"ground of {mean['points']:,} labelled points: precision {percent(mean['precision'])}, recall "
-            f"{percent(mean['recall'])}, F1 {percent(mean['f1'])}"
-        )
+    mean = findings.ground[-1]
+    yield (
+        f"ground of {mean['points']:,} labelled points: precision {percent(mean['precision'])}, recall "
+        f"{percent(mean['recall'])}, F1 {percent(mean['f1'])}"
+    )
     for name, score in findings.obstacles.items():
         if score["points"]:
             free = percent(score["in_free"] / score["points"])

@@ -114,8 +114,6 @@ _ROUTE = grouped_option(
 def report_command(run: Run, layers: Path, out: Path | None, route: Path | None, overwrite: bool) -> None:
     """Make the page of a map again. LAYERS is a folder of `bumpymap map`.
 
-    For a folder of `bumpymap diff`, the page of what has changed is made again.
-
     \b
     bumpymap report layers --route way
     bumpymap report layers --set page.client="City of Aix" --set page.logo=logo.png

@@ -129,7 +129,6 @@ from .memory import (
 from .onnx_file import (
     check_network as check_network,
     metadata_of as metadata_of,
-    onnx_runtime as onnx_runtime,
     read_network as read_network,
     session as session,
     shipped_network as shipped_network,
@@ -197,7 +196,6 @@ from .scan_types import (
     SectorRide as SectorRide,
     SectorStack as SectorStack,
     cell_numbers as cell_numbers,
-    first_cells as first_cells,
     sector_bounds as sector_bounds,
 )
 from .seen_sizes import (
@@ -296,7 +294,6 @@ from .types import (
     PointCloud as PointCloud,
     Reason as Reason,
     Texture as Texture,
-    TextureMap as TextureMap,
     VehicleBody as VehicleBody,
     corners_join as corners_join,
     interval_log_sd as interval_log_sd,
@@ -305,5 +302,6 @@ from .types import (
     photo_column as photo_column,
     rated_columns as rated_columns,
     tile_columns as tile_columns,
+    tiles_of as tiles_of,
     within as within,
 )

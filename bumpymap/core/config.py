@@ -228,7 +228,13 @@ class MapConfig:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        self._check_rating()
+        given = next((name for name in ("speed", "headings") if getattr(self, name) not in (None, False)), None)
+        if given and not self.by_ride:
+            name, value = ("rating", self.rating) if self.compat == "none" else ("compat", self.compat)
+            known = "heading" if given == "headings" else "speed"
+            raise UsageError(
+                f"`{name}='{value}'` knows no {known}: only the ride model does. Leave out `{given}`, or `{name}`"
+            )
         if not re.fullmatch(r"[\w.+-]*", self.license, re.ASCII):
             raise UsageError(f"`license` is {self.license!r}; give an SPDX identifier such as CC-BY-4.0, or 'other'")
 
@@ -243,16 +249,6 @@ class MapConfig:
     def by_ride(self) -> bool:
         """True if tiles are rated by the ride model: then those with few points are rated from their points."""
         return self.rating == "ride" and self.compat == "none"
-
-    def _check_rating(self) -> None:
-        """Raise UsageError if a speed or headings are asked of a rating that knows none."""
-        given = next((name for name in ("speed", "headings") if getattr(self, name) not in (None, False)), None)
-        if given and not self.by_ride:
-            name, value = ("rating", self.rating) if self.compat == "none" else ("compat", self.compat)
-            known = "heading" if given == "headings" else "speed"
-            raise UsageError(
-                f"`{name}='{value}'` knows no {known}: only the ride model does. Leave out `{given}`, or `{name}`"
-            )
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from pyproj import CRS, Proj, Transformer, get_units_map
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError, ProjError
 
+from bumpymap.core.config import LengthUnit
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.types import Georeference
 
@@ -171,16 +172,18 @@ _LEAST_UNIT, _LARGEST_UNIT = 1e-6, 1e6
 
 @dataclass(frozen=True, slots=True)
 class GivenCrs:
-    """The CRS that the user gives."""
+    """CRS and units that the user gives."""
 
     crs: str | None = None
-    """CRS of surveys that state none."""
+    """CRS of files that state none; any that PROJ understands, such as ``EPSG:32614``."""
     force_crs: str | None = None
-    """CRS of all surveys, whatever they state."""
+    """CRS of all files, whatever they state."""
     must_agree: bool = False
-    """True: a survey that states another CRS than ``crs`` is refused; else its own is used, with a note."""
-    xy_unit: str | None = None
-    """Horizontal unit of surveys without a CRS: m, ft or us-ft."""
+    """True: a file that states another CRS than ``crs`` is refused; else its own is used, with a note."""
+    xy_unit: LengthUnit | None = None
+    """Unit of easting and northing of files without a CRS; None: that of the file, else metres."""
+    z_unit: LengthUnit | None = None
+    """Unit of heights; None: that of the file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,16 +269,14 @@ def unit_name(metres_per_unit: float) -> str:
     return _UNITS.get(metres_per_unit, f"unit of {metres_per_unit:g} m")
 
 
-def georeference(
-    place: Place, statement: CrsStatement, given: GivenCrs, z_unit: str | None
-) -> tuple[Georeference, tuple[str, ...]]:
+def georeference(place: Place, statement: CrsStatement, given: GivenCrs) -> tuple[Georeference, tuple[str, ...]]:
     """Determine CRS and units of one file.
 
-    ``statement``: what the file states; ``z_unit``: ``--z-unit``. Returns the georeference, whose ``crs`` is the
-    horizontal CRS, or a compound CRS if a vertical one is stated too; None if it is unknown or a local (engineering)
-    CRS; and notes for the user. Raises BadInputError: the file's statement is not usable and no CRS was given, or the
-    CRS is not projected; UsageError: what was given is not a CRS, or not that of the file although it must be, or
-    contradicts the unit of the CRS.
+    ``statement``: what the file states. Returns the georeference, whose ``crs`` is the horizontal CRS, or a compound
+    CRS if a vertical one is stated too; None if it is unknown or a local (engineering) CRS; and notes for the user.
+    Raises BadInputError: the file's statement is not usable and no CRS was given, or the CRS is not projected;
+    UsageError: what was given is not a CRS, or not that of the file although it must be, or contradicts the unit of the
+    CRS.
     """
     user, notes = _from_user(place, statement, given)
     if user is None and statement.trouble:
@@ -286,7 +287,8 @@ def georeference(
         _refuse_units(place, crs, from_user=user is not None)
     stated = _horizontal_unit(place, crs, statement, given.xy_unit)
     unit = stated or 1.0
-    unit_z = _GIVEN_UNITS[z_unit] if z_unit else _unit(user, 2) or _vertical_of_file(statement, unit) or unit
+    of_file = _unit(user, 2) or _vertical_of_file(statement, unit) or unit
+    unit_z = _GIVEN_UNITS[given.z_unit] if given.z_unit else of_file
     if not math.isclose(unit, unit_z, rel_tol=1e-5):
         notes.append(f"heights are in another unit ({unit_name(unit_z)}) than easting and northing ({unit_name(unit)})")
     horizontal = horizontal_of(crs) if crs is not None else None

@@ -323,21 +323,17 @@ def _move(temporary: Path, target: Path) -> None:
         sync_file(side)
         os.replace(side, old_side)  # noqa: PTH105
     if not any(part.startswith(STAGED) for part in target.parts):  # what is staged is moved, and its new folder synced
-        _sync_folder(target.parent)
+        descriptor = os.open(target.parent, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def sync_file(path: Path) -> None:
     """Flush a file to the disk."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def install_command(extra: str) -> str:

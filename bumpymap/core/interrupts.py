@@ -64,15 +64,6 @@ class _SignalState:
             self.raised = _KINDS[self.pending]()
             raise self.raised
 
-    def was_lost(self, value: BaseException | None) -> bool:
-        """Return whether this is the exception that was raised, and was lost; if so, raise it again in 10 ms."""
-        if value is None or value is not self.raised:
-            return False
-        self.raised = None
-        signal.signal(signal.SIGALRM, lambda *_: self.raise_pending())
-        signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
-        return True
-
 
 _state: _SignalState | None = None
 """None outside of `interruptible`: the caller handles signals."""
@@ -91,8 +82,12 @@ def interruptible() -> Iterator[None]:
     hook, alarm = sys.unraisablehook, signal.getsignal(signal.SIGALRM)
 
     def ignore_lost(unraisable: Any) -> None:
-        if not state.was_lost(unraisable.exc_value):
+        if state.raised is None or unraisable.exc_value is not state.raised:
             hook(unraisable)
+        else:  # it was raised, and lost
+            state.raised = None
+            signal.signal(signal.SIGALRM, lambda *_: state.raise_pending())
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
 
     sys.unraisablehook = ignore_lost
     for number in ours:

@@ -1,7 +1,6 @@
 """Memory of a run: sizes as users type them, and what is free."""
 
 import ctypes
-import os
 import re
 import resource
 from collections.abc import Iterator
@@ -81,16 +80,12 @@ def free_memory() -> int | None:
     """Return the bytes that this process may still use; None if the system does not say.
 
     This is the least of what Linux calls available, of what is left in each control group of the process, and of what
-    its own limits (``ulimit``) leave it. Systems without ``/proc/meminfo`` give their installed memory.
+    its own limits (``ulimit``) leave it.
     """
     found = [*_left_in_groups(), *_left_in_limits()]
     with suppress(OSError, ValueError, KeyError):
         found.append(_numbers(_PROC / "meminfo")["MemAvailable:"] * 1024)
-    if found:
-        return max(min(found), 0)
-    with suppress(AttributeError, ValueError, OSError):
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return None
+    return max(min(found), 0) if found else None
 
 
 def _left_in_limits() -> Iterator[int]:

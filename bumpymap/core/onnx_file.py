@@ -25,20 +25,14 @@ _shipped: list[bytes] = []
 """Networks of the package, which need no limits."""
 
 
-def onnx_runtime() -> Any:
-    """Import ONNX Runtime with telemetry and terminal output switched off."""
-    os.environ["ORT_DISABLE_TELEMETRY"] = "1"  # read once, when the library is loaded
-    import onnxruntime
-
-    onnxruntime.disable_telemetry_events()  # the switch of builds for Windows
-    onnxruntime.set_default_logger_severity(4)  # errors are raised
-    return onnxruntime
-
-
 @lru_cache(maxsize=4)
 def session(content: bytes) -> Any:
-    """Open a network for inference on one thread; the last four stay open."""
-    runtime = onnx_runtime()
+    """Open a network for inference on one thread, without telemetry and terminal output; the last four stay open."""
+    os.environ["ORT_DISABLE_TELEMETRY"] = "1"  # read once, when the library is loaded
+    import onnxruntime as runtime
+
+    runtime.disable_telemetry_events()  # the switch of builds for Windows
+    runtime.set_default_logger_severity(4)  # errors are raised
     options = runtime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1

@@ -17,7 +17,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import weakref
 from collections import deque
@@ -58,11 +57,7 @@ class SharedMemory:
     """First-fit allocator of shared memory. Thread-safe."""
 
     def __init__(self) -> None:
-        if hasattr(os, "memfd_create"):
-            self.descriptor = os.memfd_create("bumpymap")
-        else:
-            with tempfile.TemporaryFile() as file:
-                self.descriptor = os.dup(file.fileno())
+        self.descriptor = os.memfd_create("bumpymap")
         # Arrays may be garbage-collected at any moment, so their offsets are recorded without a lock.
         self._freed: deque[int] = deque()
         self._ends: dict[int, int] = {}
@@ -245,11 +240,6 @@ class Child:
             self.process.kill()
             self.process.wait()
 
-    def abandon(self) -> None:
-        """Close the connection after a fork, in the new process: the child belongs to the old one."""
-        self.link.close()
-        self.process.returncode = 0  # nothing to wait for
-
     def _raise_child_died(self) -> NoReturn:
         try:
             code = self.process.wait(_MOST_WAIT_S)
@@ -370,8 +360,9 @@ _children: "weakref.WeakSet[Child]" = weakref.WeakSet()
 def _abandon_children() -> None:
     global MEMORY  # noqa: PLW0603 (the old process keeps its own)
     MEMORY = SharedMemory()
-    for child in _children:
-        child.abandon()
+    for child in _children:  # they belong to the old process
+        child.link.close()
+        child.process.returncode = 0  # nothing to wait for
 
 
 os.register_at_fork(after_in_child=_abandon_children)

@@ -239,7 +239,14 @@ def _acquire(folder: Path, name: str) -> tuple[int, int]:
     """Open the folder and its lock file, lock the file, and return both descriptors."""
     for _ in range(_TRIES):
         with ExitStack() as opened:
-            place = _open_folder(folder)
+            with writing_to(folder):
+                try:
+                    folder.mkdir(parents=True, exist_ok=True)
+                except FileExistsError as error:
+                    raise OutputError(
+                        f"cannot write to the folder {folder}: it is a file. Choose another `out`"
+                    ) from error
+                place = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
             opened.callback(os.close, place)
             descriptor, created = _open_lock(place, name, folder)
             if descriptor is None:
@@ -247,19 +254,14 @@ def _acquire(folder: Path, name: str) -> tuple[int, int]:
             opened.callback(os.close, descriptor)
             _lock(descriptor, folder / name, created=created)
             if _is_current(folder, place) and _is_current(name, descriptor, place):
-                _note_holder(descriptor)
+                since = datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
+                holder = {**lock_holder(), "host": socket.gethostname(), "since": since}
+                with suppress(OSError):  # disk full: writing the results will report it
+                    os.ftruncate(descriptor, 0)
+                    os.pwrite(descriptor, json.dumps(holder).encode()[:_MOST_BYTES], 0)
                 opened.pop_all()
                 return place, descriptor
     raise OutputError(f"cannot lock the folder {folder}: other runs keep removing it. Choose another `out`")
-
-
-def _open_folder(folder: Path) -> int:
-    with writing_to(folder):
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except FileExistsError as error:
-            raise OutputError(f"cannot write to the folder {folder}: it is a file. Choose another `out`") from error
-        return os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
 
 
 def _open_lock(place: int, name: str, folder: Path) -> tuple[int | None, bool]:
@@ -309,14 +311,6 @@ def _is_current(name: Path | str, descriptor: int, place: int | None = None) -> 
     except OSError:
         return False
     return os.path.samestat(found, os.fstat(descriptor))
-
-
-def _note_holder(descriptor: int) -> None:
-    since = datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
-    holder = {**lock_holder(), "host": socket.gethostname(), "since": since}
-    with suppress(OSError):  # disk full: writing the results will report it
-        os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, json.dumps(holder).encode()[:_MOST_BYTES], 0)
 
 
 def _held(descriptor: int, path: Path) -> str:
@@ -421,7 +415,14 @@ class RunFolder:
         """
         path = work_folder(out)
         with writing_to(path):
-            _make_own(path)
+            with suppress(FileExistsError):
+                path.mkdir(mode=0o700, parents=True)
+            if not is_own_folder(path, path.parent):
+                raise OutputError(
+                    f"{path} is a link, a file or belongs to another user, and was not touched: a run keeps its "
+                    "checkpoints there. Remove it, or choose another `out`"
+                )
+            path.chmod(0o700)
             before = read_record(path / _RUN_SPEC)
             if shape_fault(before, _SPEC_SHAPE):
                 before = None  # damaged, as one that cannot be parsed: what is there cannot be trusted
@@ -481,17 +482,6 @@ def clean_folder(path: Path, *, everything: bool = False, keep: Collection[str] 
                     os.unlink(name, dir_fd=folder)
     finally:
         os.close(descriptor)
-
-
-def _make_own(path: Path) -> None:
-    with suppress(FileExistsError):
-        path.mkdir(mode=0o700, parents=True)
-    if not is_own_folder(path, path.parent):
-        raise OutputError(
-            f"{path} is a link, a file or belongs to another user, and was not touched: a run keeps its checkpoints "
-            "there. Remove it, or choose another `out`"
-        )
-    path.chmod(0o700)
 
 
 def _remove(path: Path) -> None:

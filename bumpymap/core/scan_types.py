@@ -6,7 +6,7 @@ One row of a ``SectorStack`` is one sector with enough points; all its arrays ha
 
 import math
 from array import array
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -239,12 +239,6 @@ class SectorStack:
     """(m,) whether it lies alone, up to twice ``height_m`` above the ground: rain, dust, insects; no obstacle."""
     point_height: NDArray[np.float32]
     """(m,) height above the ground, m; NaN where no ground is known."""
-
-    def __post_init__(self) -> None:
-        count = len(self.zone)
-        for field in fields(self)[3:-6]:
-            if len(getattr(self, field.name)) != count:
-                raise ValueError(f"{field.name} has {len(getattr(self, field.name))} rows; the stack has {count}")
 
 
 @dataclass(frozen=True, slots=True)

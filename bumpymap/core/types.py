@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Value = TypeVar("Value", bound=np.generic)
 
 THIN_POINTS = 4
 """A thin tile with fewer points is unknown: three lie on a plane, whatever the ground."""
@@ -263,19 +264,6 @@ class ObjectStack:
         return {name: getattr(self, name) for name in self.__slots__}
 
 
-@dataclass(frozen=True, slots=True)
-class TextureMap:
-    """Texture probabilities of each tile, from the texture network."""
-
-    probability: NDArray[np.float32]
-    """(n, 4) in the order of ``TEXTURES``, rows sum to 1; NaN for unknown tiles, and without a texture network."""
-
-    @classmethod
-    def unknown(cls, tiles: int) -> "TextureMap":
-        """Return the record of tiles whose texture was not classified."""
-        return cls(np.full((tiles, len(TEXTURES)), np.nan, np.float32))
-
-
 FAIL_SHARE = 0.5
 """If at least this share of the simulated drives fails, the ground is not passable and gets the roughest class."""
 
@@ -404,6 +392,12 @@ def within(marks: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
     return near
 
 
+def tiles_of(mosaic: NDArray[Value], pixels: int) -> NDArray[Value]:
+    """Cut a mosaic of tiles, (n * pixels, m * pixels), into these: (n, m, pixels, pixels)."""
+    rows, cols = (side // pixels for side in mosaic.shape)
+    return mosaic.reshape(rows, pixels, cols, pixels).swapaxes(1, 2)
+
+
 def corners_join(width_m: float, reach_m: float, pixel_m: float) -> bool:
     """Say whether a vehicle can go from one free pixel to another that it touches at a corner alone.
 
@@ -423,9 +417,7 @@ THIN_MEASURES = 44
 class CostMap:
     """Rated tiles: everything that is written to the layers."""
 
-    georeference: Georeference
     patches: PatchStack
-    textures: TextureMap
     class_id: NDArray[np.uint8]
     """(n,) class 0 (flattest) to 3 (roughest); ``NO_CLASS`` if unknown."""
     c_r: NDArray[np.float32]
@@ -438,8 +430,9 @@ class CostMap:
     """(n,) share of simulated drives over such ground that roll over or get stuck, 0..1."""
     confidence: NDArray[np.float32]
     """(n,) probability that the class is right, 0..1."""
-    rule: CostRule
-    """Rule by which tiles are passable, and their cost."""
+    probability: NDArray[np.float32] | None = None
+    """(n, 4) probability of each texture in the order of ``TEXTURES``, rows sum to 1; NaN for unknown tiles. None
+    without a texture network."""
     objects: ObjectStack | None = None
     """Objects on the ground; None where that is part of the relief, because all points are measured as ground."""
     all_density: NDArray[np.float32] | None = None
@@ -453,20 +446,17 @@ class CostMap:
 
     def band(self, name: str) -> NDArray[np.floating]:
         """Return the values of one of ``BANDS``, (n,)."""
-        owner = self if name in self.__slots__ else self.patches
-        values: NDArray[np.floating] = getattr(owner, name)
+        values: NDArray[np.floating] = getattr(self if hasattr(self, name) else self.patches, name)
         return values
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns of `rated_columns`, one row for each tile."""
         objects = self.objects or ObjectStack.empty(len(self.class_id), self.patches.grid.pixels)
-        own: dict[str, NDArray[Any]] = {"class_id": self.class_id, "probability": self.textures.probability}
-        own |= objects.columns()
-        tiles = len(self.class_id)
-        own["thin"] = np.full((tiles, THIN_MEASURES), np.nan, np.float32) if self.thin is None else self.thin
-        unseen = np.full(tiles, np.nan, np.float32)
-        seen = {name: getattr(self, name) for name in ("all_density", "smallest_object")}
-        own |= {name: unseen if values is None else values for name, values in seen.items()}
+        own: dict[str, NDArray[Any]] = {"class_id": self.class_id, **objects.columns()}
+        shapes = {"probability": (len(TEXTURES),), "thin": (THIN_MEASURES,), "all_density": (), "smallest_object": ()}
+        for name, shape in shapes.items():
+            values = getattr(self, name)
+            own[name] = np.full((len(self.class_id), *shape), np.nan, np.float32) if values is None else values
         own |= {} if self.headings is None else {"headings": self.headings}
         names = [column.name for column in rated_columns(self.patches.grid.pixels) if column.name not in own]
         return {name: self.band(name) for name in names} | own

@@ -7,8 +7,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from itertools import pairwise
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +42,6 @@ _LIMITS = 40
 """Number of limits that are tried."""
 _LOOKED_AT = 20
 """Number of frames whose labels decide of which set they are."""
-_OF_POINTS = ("places", "point_place", "point_sector", "point_ground", "point_airborne", "point_height")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +54,6 @@ class ClassedSectorTable:
     """(n,) class of the most frequent label; -1 without a label."""
     traversable: NDArray[np.bool_]
     """(n,) whether the sector has ground, and so a class."""
-    stripes: Floats
-    """(n,)"""
-    variance: Floats
-    """(n,) m^2"""
-    residual: Floats
-    """(n,) m"""
     deviation: Floats
     """(n,) standard deviation of z over all points of the sector, ground or not, m"""
 
@@ -74,51 +66,6 @@ def z_deviation(scan: Scan, stack: SectorStack) -> Floats:
     off = z - (np.bincount(place, z, len(stack.zone)) / count)[place]
     deviation: Floats = np.sqrt(np.bincount(place, off**2, len(stack.zone)) / count)
     return deviation
-
-
-def join_sectors(
-    classed: Sequence[dict[str, ClassedSectors]], deviations: Sequence[Floats], labels: LabelSet | None
-) -> ClassedSectorTable:
-    """Collect the sectors of one or more scans.
-
-    ``classed`` has the sectors of each scan by method, one of them the filter; ``deviations`` is `z_deviation` of each;
-    ``labels`` is the meaning of their labels, None if they have none.
-    """
-    stacks = [next(iter(methods.values())).sectors for methods in classed]
-    label = np.concatenate([stack.label for stack in stacks])
-
-    def joined(values: Iterable[NDArray[np.generic]]) -> Floats:
-        return np.concatenate(list(values)).astype(np.float64)
-
-    counted = next(method for method, found in classed[0].items() if found.stripes is not None)
-    return ClassedSectorTable(
-        class_id={method: np.concatenate([methods[method].class_id for methods in classed]) for method in classed[0]},
-        truth=np.full(len(label), -1, np.int16) if labels is None else labels.classes_of(label),
-        traversable=np.concatenate([stack.traversable for stack in stacks]),
-        stripes=joined(np.asarray(methods[counted].stripes) for methods in classed),
-        variance=joined(stack.variance for stack in stacks),
-        residual=joined(stack.residual for stack in stacks),
-        deviation=joined(deviations),
-    )
-
-
-def class_rows(table: ClassedSectorTable, method: str) -> list[dict[str, Any]]:
-    """Summarise the traversable sectors of each class.
-
-    Each row has ``class_id``, ``sectors``, their ``share``, and median and mean of ``stripes``, ``variance`` [m2] and
-    ``residual`` [m]; NaN without sectors.
-    """
-    total = int(table.traversable.sum())
-    rows = []
-    for number in range(CLASSES):
-        own = table.traversable & (table.class_id[method] == number)
-        count = int(own.sum())
-        row: dict[str, Any] = {"class_id": number, "sectors": count, "share": count / total if total else math.nan}
-        for name in ("stripes", "variance", "residual"):
-            values = getattr(table, name)[own]
-            row[name] = (float(np.median(values)), float(values.mean())) if count else (math.nan, math.nan)
-        rows.append(row)
-    return rows
 
 
 def all_answers(table: ClassedSectorTable) -> dict[str, Ints]:
@@ -207,36 +154,34 @@ class ScanFindings:
 
     facts: dict[str, Any]
     settings: dict[str, Any]
-    classes: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
-    """Method -> the paper's Tables IV and V, see `class_rows`."""
-    accuracy: dict[str, Accuracy] = field(default_factory=dict)
-    """Method or rule -> agreement with the labels of the sectors with ground; empty without labels."""
-    accuracy_all: dict[str, Accuracy] = field(default_factory=dict)
+    accuracy: dict[str, Accuracy]
+    """Method or rule -> agreement with the labels of the sectors with ground."""
+    accuracy_all: dict[str, Accuracy]
     """The same over all sectors; without ground the answer of a method is the roughest class."""
-    ground: list[dict[str, Any]] = field(default_factory=list)
-    """Frame by frame, and then their mean; empty without labels."""
-    obstacles: dict[str, dict[str, int]] = field(default_factory=dict)
-    """Method -> points of obstacles in sectors called free; empty without labels."""
+    ground: list[dict[str, Any]]
+    """Frame by frame, and then their mean."""
+    obstacles: dict[str, dict[str, int]]
+    """Method -> points of obstacles in sectors called free."""
 
 
-def labels_of(frames: Sequence[Path], name: str | None) -> LabelSet | None:
-    """Return the label set of frames: the one that is named, or else the one that fits their ids; None without labels.
+def labels_of(frames: Sequence[Path], name: str | None) -> LabelSet:
+    """Return the label set of frames: the one that is named, or else the one that fits their ids.
 
     ``name``: a built-in set, or a file. Raises as `label_set`, `require_label_set` and `identify_label_set` do, and
-    BadInputError if a set is named and no frame has labels.
+    BadInputError if no frame has labels.
     """
     found = [read_scan(frame).label for frame in frames[:: -(-len(frames) // _LOOKED_AT)]]
     there = [label for label in found if label is not None]
-    if name is not None:
-        if not there:
-            raise BadInputError(
-                f"`labels` is '{name}', but {frames[0]} has no labels. They are in NAME.label beside NAME.bin, in "
-                "a folder labels next to its folder, or in a field named label of a PLY or PCD file"
-            )
-        known = label_set(name)
-        require_label_set(np.concatenate(there), known, str(frames[0]))
-        return known
-    return identify_label_set(np.concatenate(there), str(frames[0])) if there else None
+    if not there:
+        raise BadInputError(
+            f"{frames[0]} has no labels to compare with. They are in NAME.label beside NAME.bin, in a folder labels "
+            "next to its folder, or in a field named label of a PLY or PCD file"
+        )
+    if name is None:
+        return identify_label_set(np.concatenate(there), str(frames[0]))
+    known = label_set(name)
+    require_label_set(np.concatenate(there), known, str(frames[0]))
+    return known
 
 
 def evaluate_scans(
@@ -246,57 +191,55 @@ def evaluate_scans(
     stripes: StripeModel,
     network: ScanModel | None,
     progress: Progress,
-    labels: LabelSet | None = None,
+    labels: LabelSet,
 ) -> ScanFindings:
     """Evaluate methods on ``count`` scans: the filter by ``stripes``, the learned one by ``network``, if there is one.
 
-    ``settings.method`` alone is judged, if it is given. ``labels``: the meaning of the labels of the scans; None if
-    they have none. Raises BadInputError if no scan has a sector that can be classified.
+    ``settings.method`` alone is judged, if it is given. ``labels``: the meaning of the labels of the scans. Raises
+    BadInputError if no scan has a sector that can be classified.
     """
-    classed, deviations = [], []
+    parts = []
     ground: list[dict[str, Any]] = []
     obstacles: dict[str, Counter[str]] = {}
-    judged = [settings.method] if settings.method else []
     progress.start("classing scans", count)
     for scan in scans:
         stack = polar_sectors(scan)
-        found = {"filter": classify_filter(stack, stripes)}  # also for the stripes of classes
+        found = {} if settings.method == "learned" else {"filter": classify_filter(stack, stripes)}
         if network is not None:
             found["learned"] = classify_learned(stack, network)
-        if labels is not None and scan.label is not None:
+        if scan.label is not None:
             ground.append(ground_score(scan, stack.point_ground, labels))
-            for name in judged or found:
-                obstacles.setdefault(name, Counter()).update(obstacle_score(scan, found[name], labels))
-        deviations.append(z_deviation(scan, stack))
-        bare = replace(stack, **{name: getattr(stack, name)[:0] for name in _OF_POINTS})  # saves memory
-        nothing: dict[str, Any] = {"sectors": bare, "field": bare.places, "point_class": np.empty(0, np.uint8)}
-        classed.append({name: replace(own, **nothing) for name, own in found.items()})
+            for name, own in found.items():
+                obstacles.setdefault(name, Counter()).update(obstacle_score(scan, own, labels))
+        class_id = {name: own.class_id for name, own in found.items()}
+        truth, deviation = labels.classes_of(stack.label), z_deviation(scan, stack)
+        parts.append(ClassedSectorTable(class_id, truth, stack.traversable, deviation))
         progress.advance(1)
-    table = join_sectors(classed, deviations, labels) if classed else None
-    if table is None or not table.traversable.any():
+    if not any(part.traversable.any() for part in parts):
         raise BadInputError("no scan has a sector that can be classified, so there is nothing to evaluate")
-    table = replace(table, class_id={name: table.class_id[name] for name in judged or table.class_id})
-    drivable, labelled = table.traversable, table.truth >= 0
-    answers = all_answers(table) if labelled.any() else {}
+    table = ClassedSectorTable(
+        {name: np.concatenate([part.class_id[name] for part in parts]) for name in parts[0].class_id},
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in ("truth", "traversable", "deviation")),
+    )
+    drivable, labelled, answers = table.traversable, table.truth >= 0, all_answers(table)
     facts = {
         "scans": count,
         "sectors": int(drivable.sum()),
         "labelled": int((labelled & drivable).sum()),
         "all_sectors": len(drivable),
         "all_labelled": int(labelled.sum()),
-        "labels": labels.name if labels and labelled.any() else None,
+        "labels": labels.name,
         "filter": asdict(stripes),
         "network": None if network is None else network.id,
     }
     return ScanFindings(
         facts=facts,
         settings=asdict(settings),
-        classes={name: class_rows(table, name) for name in table.class_id},
         accuracy={
             name: accuracy_of(table.truth[drivable], answer[drivable], CLASSES) for name, answer in answers.items()
         },
         accuracy_all={name: accuracy_of(table.truth, answer, CLASSES) for name, answer in answers.items()},
-        ground=[*ground, mean_ground(ground)] if ground else [],
+        ground=[*ground, mean_ground(ground)],
         obstacles={name: dict(scores) for name, scores in obstacles.items()},
     )
 
@@ -342,9 +285,9 @@ def write_scan_report(findings: ScanFindings, out: Path) -> list[Path]:
     """Write ``report.json`` and ``report.md`` of scans, in this order."""
     facts = findings.facts
     opening = (
-        f"{facts['scans']} scans, {facts['sectors']:,} sectors with ground, {facts['labelled']:,} of them labelled"
-        + (f" (label set `{facts['labels']}`)" if facts["labels"] else "")
-        + f". Filter method: centres at {', '.join(f'{centre:.2f}' for centre in facts['filter']['centres'])} stripes."
+        f"{facts['scans']} scans, {facts['sectors']:,} sectors with ground, {facts['labelled']:,} of them labelled "
+        f"(label set `{facts['labels']}`). Filter method: centres at "
+        f"{', '.join(f'{centre:.2f}' for centre in facts['filter']['centres'])} stripes."
         + (f" Learned method: network {facts['network']}." if facts["network"] else "")
     )
     ground = [
@@ -361,14 +304,13 @@ def write_scan_report(findings: ScanFindings, out: Path) -> list[Path]:
     ]
     free = ("method", "points", "in free sectors", "low", "in sectors of class 0 or 1")
     sections = [
-        ("Compared with labels", _ANSWERS, _accuracy_lines(findings) if findings.accuracy else []),
-        ("Ground", _GROUND, table(("frame", "points", "precision", "recall", "F1"), ground) if ground else []),
-        ("Obstacles in sectors called free", _OBSTACLES, table(free, obstacles) if obstacles else []),
-        ("Statistics of the classes", "The paper's Tables IV and V.", scan_class_lines(findings)),
+        ("Compared with labels", _ANSWERS, _accuracy_lines(findings)),
+        ("Ground", _GROUND, table(("frame", "points", "precision", "recall", "F1"), ground)),
+        ("Obstacles in sectors called free", _OBSTACLES, table(free, obstacles)),
     ]
     lines = ["# Can the classes of scans be trusted?", "", opening, ""]
     for title, intro, own in sections:
-        lines += [f"## {title}", "", intro, "", *own] if own else []
+        lines += [f"## {title}", "", intro, "", *own]
     record = {"format": "bumpymap-scan-evaluation", "version": 1, **asdict(findings)}
     files = {
         out / "report.json": json.dumps(plain_json(record, 6), indent=1, allow_nan=False) + "\n",
@@ -385,7 +327,7 @@ def _accuracy_lines(findings: ScanFindings) -> list[str]:
     lines = [f"{facts['labelled']:,} sectors with ground:", "", *_answer_table(findings.accuracy)]
     lines += [f"All {facts['all_labelled']:,} sectors; to a method, one without ground is of class 2:", ""]
     lines += _answer_table(findings.accuracy_all)
-    for method in findings.classes:
+    for method in findings.obstacles:
         rows = [[f"labelled {k}", *map(str, line)] for k, line in enumerate(findings.accuracy[method].confusion)]
         lines += table((f"`{method}`", *(f"found {k}" for k in range(len(rows)))), rows)
     return [*lines, f"The paper reports {percent(_PAPER_ACCURACY)} on its own patches of RELLIS-3D.", ""]
@@ -394,30 +336,3 @@ def _accuracy_lines(findings: ScanFindings) -> list[str]:
 def _answer_table(answers: dict[str, Accuracy]) -> list[str]:
     rows = [[name, *map(percent, (found.right, found.even, *found.recall))] for name, found in answers.items()]
     return table(("answer", "accuracy", "balanced accuracy", "recall of 0", "of 1", "of 2"), rows)
-
-
-def scan_class_lines(findings: ScanFindings) -> list[str]:
-    """Return the paper's Tables IV and V of each method, and whether their figures are in order."""
-    rows, summary = [], []
-    for method, classes in findings.classes.items():
-        for row in classes:
-            values = (*row["stripes"], *row["variance"], *row["residual"])
-            count = (str(row["class_id"]), str(row["sectors"]), percent(row["share"]))
-            rows.append([method, *count, *map(number, values)])
-        wrong = [
-            f"{kind} {name}"
-            for name, sign in (("stripes", -1), ("variance", 1), ("residual", 1))
-            for place, kind in enumerate(("median", "mean"))
-            if any(
-                sign * (after[name][place] - before[name][place]) <= 0
-                for before, after in pairwise(row for row in classes if row["sectors"])
-            )
-        ]
-        order = (
-            f"not in order from class to class: {', '.join(wrong)}"
-            if wrong
-            else "variance and residual rise from class to class and stripes fall, in median and mean"
-        )
-        summary.append(f"- `{method}`: {order}.")
-    header = ("method", "class", "sectors", "share", "stripes, median", "mean", "variance [m2], median", "mean")
-    return [*table((*header, "residual [m], median", "mean"), rows), *summary, ""]

@@ -64,7 +64,6 @@ from .manifest import (
     COUNT as COUNT,
     ISLAND_M2 as ISLAND_M2,
     MANIFEST_NAME as MANIFEST_NAME,
-    PLACE_SHAPE as PLACE_SHAPE,
     MapSummary as MapSummary,
     ZoneCounts as ZoneCounts,
     describe_file as describe_file,

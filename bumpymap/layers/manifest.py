@@ -277,17 +277,14 @@ MANIFEST_NAME = "run.json"
 MANIFEST_FORMAT = "bumpymap-run"
 COUNT = Number(0, 1e15, whole=True)
 """A number of something in a manifest: whole, and exact as a float."""
-PLACE_SHAPE: dict[str, Any] = {
+_POSITIVE = Number(0, 1e9)
+"""Any other number: far beyond what a map can hold, so that arithmetic stays finite."""
+_INPUT = {"path": str, "bytes?": Nullable(COUNT), "points?": Nullable(COUNT), "checksum?": Nullable(str)}
+_SHAPE: dict[str, Any] = {
     "crs": Nullable({"name": str, "code": Nullable(str), "wkt": str}),
     "metres_per_unit": {"horizontal": Number(1e-6, 1e6), "vertical": Number(1e-6, 1e6)},
     "grid": {"tile_size_m": Number(1e-3, 1e5), "pixels": Number(1, 10_000, whole=True)},
     "files": [{"path": str, "bytes": COUNT, "sha256": str}],
-}
-"""Shape of what manifests of maps and of comparisons say of their place and files."""
-_POSITIVE = Number(0, 1e9)
-"""Any other number: far beyond what a map can hold, so that arithmetic stays finite."""
-_INPUT = {"path": str, "bytes?": Nullable(COUNT), "points?": Nullable(COUNT), "checksum?": Nullable(str)}
-_SHAPE: dict[str, Any] = PLACE_SHAPE | {
     "survey": {"name": str, "checksum": Nullable(str), "dates": Nullable([str])},
     "inputs": [_INPUT],
     "skipped?": Each(),

@@ -123,14 +123,11 @@ class KeptRasters:
             self._open.popitem()[1].close()
 
 
-def require_written(
-    folder: Path, manifest: Mapping[str, Any], names: Iterable[str], record: str = MANIFEST_NAME, most: float = math.inf
-) -> None:
+def require_written(folder: Path, manifest: Mapping[str, Any], names: Iterable[str], most: float = math.inf) -> None:
     """Raise BadInputError if a file is missing, or is not the one that a manifest lists by size and checksum.
 
-    GDAL reads many a damaged block without an error. ``manifest``: with ``files``, from `describe_file`; ``record``:
-    file name of the manifest, for messages; ``most``: bytes of the largest file whose checksum is compared; a larger
-    one is held against its size.
+    GDAL reads many a damaged block without an error. ``manifest``: with ``files``, from `describe_file`; ``most``:
+    bytes of the largest file whose checksum is compared; a larger one is held against its size.
     """
     written = {str(file["path"]): file for file in manifest["files"]}
     for name in names:
@@ -138,7 +135,7 @@ def require_written(
         if not path.is_file():
             raise BadInputError(f"{path} is missing: it was not written, or was removed since. {_AGAIN}")
         if name not in written:
-            raise BadInputError(f"{path} is not listed in {record}: it is of another run. {_AGAIN}")
+            raise BadInputError(f"{path} is not listed in {MANIFEST_NAME}: it is of another run. {_AGAIN}")
         size, found = int(written[name]["bytes"]), path.stat().st_size
         if found != size:
             raise BadInputError(
@@ -146,4 +143,4 @@ def require_written(
                 "again, or map the survey again"
             )
         if size <= most and describe_file(path)["sha256"] != written[name]["sha256"]:
-            raise BadInputError(f"{path} is damaged: its checksum is not that of {record}. {_AGAIN}")
+            raise BadInputError(f"{path} is damaged: its checksum is not that of {MANIFEST_NAME}. {_AGAIN}")

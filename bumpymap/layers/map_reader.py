@@ -28,6 +28,7 @@ from bumpymap.core import (
     TileField,
     describe_crs,
     stated_crs,
+    tiles_of,
 )
 from bumpymap.layers.manifest import read_manifest
 from bumpymap.layers.map_files import KeptRasters, read_colours, require_written
@@ -158,8 +159,7 @@ class MapReader:
         at_once = max(1, _PLANE_PIXELS // (window.cols * pixels**2))
         for top, part in window.cut(at_once):
             around = part.grown(1)
-            rows, cols = around.rows, around.cols
-            z = self.heights(around).reshape(rows, pixels, cols, pixels).swapaxes(1, 2).reshape(rows, cols, -1)
+            z = tiles_of(self.heights(around), pixels).reshape(around.rows, around.cols, -1)
             is_open = np.isin(self.read(around, ()).barred, OPEN_THROUGH)
             out[top : top + part.rows] = _corner_gradient(_planes(z), is_open)[1:-1, 1:-1] / self.grid.tile_size
         return out

@@ -199,20 +199,14 @@ def feature(
     return head | {"properties": properties, "geometry": geometry}
 
 
-def write_features(
-    path: Path,
-    name: str,
-    place: GeoJsonCoordinates,
-    features: Sequence[Mapping[str, Any]],
-    about: Mapping[str, Any] | None = None,
-) -> None:
+def write_features(path: Path, name: str, place: GeoJsonCoordinates, features: Sequence[Mapping[str, Any]]) -> None:
     """Write a GeoJSON file: RFC 7946 in WGS 84, or the survey's own coordinates, which its members declare.
 
     ``name``: of the collection, which GIS programs show; ``place``: coordinates of the features; ``features``: from
-    `feature`; ``about``: further members of the collection. Raises OutputError: the file cannot be written.
+    `feature`. Raises OutputError: the file cannot be written.
     """
     geometries = [each["geometry"] for each in features if each["geometry"] is not None]
-    collection = {"type": "FeatureCollection", "name": name, **place.members, **(about or {})}
+    collection = {"type": "FeatureCollection", "name": name, **place.members}
     collection |= {"bbox": shapely.total_bounds(geometries).tolist()} if geometries else {}
     collection["features"] = features
     text = json.dumps(

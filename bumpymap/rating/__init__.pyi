@@ -39,7 +39,6 @@ from .ride.line import (
 )
 from .ride.motion_operator import (
     MotionOperator as MotionOperator,
-    Motions as Motions,
     Rides as Rides,
     felt_response as felt_response,
     heave_filter as heave_filter,
@@ -59,11 +58,11 @@ from .ride.speed import (
     QUANTITIES as QUANTITIES,
     MotionFit as MotionFit,
     MotionModel as MotionModel,
-    SpeedRating as SpeedRating,
     at_speed as at_speed,
     felt_by_heading as felt_by_heading,
     map_calibration as map_calibration,
     map_rule as map_rule,
+    motion_factors as motion_factors,
     motion_felt as motion_felt,
     motion_terms as motion_terms,
     plain_terms as plain_terms,

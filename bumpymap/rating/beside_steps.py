@@ -101,9 +101,7 @@ def _off_planes(heights: NDArray[np.floating], area: NDArray[np.integer], areas:
     return rest.reshape(heights.shape), np.hypot(down, right)
 
 
-@remembered
-def _model(calibration: Calibration) -> RideModel:
-    return RideModel(calibration)
+_model = remembered(RideModel)
 
 
 def _ride(

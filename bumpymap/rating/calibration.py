@@ -193,12 +193,6 @@ class Calibration:
         return self.floor * self.profile.speed_mps / speed
 
     @property
-    def floor_before(self) -> float:
-        """Return the floor before the calibration was moved to drives: a profile that has it is that of the vehicle."""
-        before: float = self.settings.get("moved_to_drives", {}).get("floor", [self.floor])[0]
-        return before
-
-    @property
     def map_limits(self) -> tuple[float, ...]:
         """``class_limits`` with the floor, for values that hold it, rad/m: the floor moves no tile to another class."""
         return tuple(with_floor(np.array(self.class_limits), self.map_floor).tolist())
@@ -306,7 +300,8 @@ class Calibration:
         if differ := [f"{key} is {new[key]}, was {old[key]}" for key in old if new[key] != old[key]]:
             raise BadInputError(f"{origin} was made for another vehicle: {'; '.join(differ)}")
         changed = {key: given[key] for key in _PREFERENCES if given[key] != driven[key]}
-        if vehicle.floor.c_r_radpm == self.floor_before:
+        # Before the calibration was moved to drives: a profile that has this floor is that of the vehicle.
+        if vehicle.floor.c_r_radpm == self.settings.get("moved_to_drives", {}).get("floor", [self.floor])[0]:
             changed.pop("floor", None)
         return replace(self, vehicle=self.vehicle | changed) if changed else self
 

@@ -10,10 +10,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import FAIL_SHARE, NO_CLASS, NORMAL_80, CostMap, Floats, Georeference, PatchStack, Reason, TextureMap
+from bumpymap.core import FAIL_SHARE, NO_CLASS, NORMAL_80, CostMap, Floats, PatchStack, Reason
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride.correction import TAIL
-from bumpymap.rating.ride.speed import map_rule
 from bumpymap.rating.vehicle_body import with_floor
 
 _MIN_LOG_SD = 0.05
@@ -34,14 +33,14 @@ PAPER_TABLE: dict[str, tuple[tuple[float, int], ...]] = {
 """The paper's table: texture -> (raw z range below [m], class)."""
 
 
-def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, georeference: Georeference) -> CostMap:
-    """Rate n tiles by texture and relief (``rating = "table"``); the georeference travels with the result.
+def rate(patches: PatchStack, probability: NDArray[np.float32], calibration: Calibration) -> CostMap:
+    """Rate n tiles by the probability of their textures, of `classify`, and relief (``rating = "table"``).
 
     Raises UsageError if the calibration was made for tiles of another size or another number of pixels.
     """
     calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)
     known = patches.reason == Reason.OK
-    chance = textures.probability[known].astype(np.float64)
+    chance = probability[known].astype(np.float64)
     log_mean, log_sd, fails = _read_tables(patches.relief[known], calibration)
     c_r, p_fail = (chance * np.exp(log_mean)).sum(axis=1), np.minimum((chance * fails).sum(axis=1), 1.0)
     too_steep = patches.slope[known] > calibration.profile.slope_limit_deg
@@ -65,7 +64,7 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
     )
     class_id = np.full(len(known), NO_CLASS, np.uint8)
     class_id[known] = rank
-    return CostMap(georeference, patches, textures, class_id, c_r, low, high, p_fail, sure, map_rule(calibration))
+    return CostMap(patches, class_id, c_r, low, high, p_fail, sure, probability)
 
 
 Mixture = tuple[Floats, Floats, Floats]
@@ -105,16 +104,14 @@ def _quantile(mixture: Mixture, share: float, normal: float) -> Floats:
     return np.asarray(at)
 
 
-def rate_as_paper(
-    patches: PatchStack, textures: TextureMap, calibration: Calibration, georeference: Georeference
-) -> CostMap:
+def rate_as_paper(patches: PatchStack, probability: NDArray[np.float32], calibration: Calibration) -> CostMap:
     """Rate tiles by the paper's rules (``compat = "paper"``): raw z range of the points, its table, its 30 % rule.
 
     Every tile with points gets a class; those that we would call unknown are class 3. ``c_r`` is the calibration's
     mean of the class, the interval is the class's own, ``confidence`` the probability of the winning texture.
     """
     calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)
-    chance = np.nan_to_num(textures.probability.astype(np.float64))
+    chance = np.nan_to_num(probability.astype(np.float64))
     raw_range = patches.z_max - patches.z_min
     by_texture = np.stack(
         [
@@ -133,16 +130,14 @@ def rate_as_paper(
     out = np.full(len(measured), NO_CLASS, np.uint8)
     out[measured] = class_id[measured]
     return CostMap(
-        georeference=georeference,
         patches=replace(patches, reason=np.where(measured, Reason.OK, patches.reason).astype(np.uint8)),
-        textures=textures,
         class_id=out,
         c_r=_spread(measured, with_floor(np.array(calibration.class_c_r), calibration.map_floor)[class_id[measured]]),
         c_r_low=_spread(measured, edges[class_id[measured]]),
         c_r_high=_spread(measured, high[measured]),
         p_fail=_spread(measured, p_fail[measured]),
         confidence=_spread(judged, chance.max(axis=1)[judged]),
-        rule=map_rule(calibration),
+        probability=probability,
     )
 
 

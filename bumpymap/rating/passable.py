@@ -17,6 +17,7 @@ from bumpymap.core import (
     corners_join,
     loops,
     obstacle_reach,
+    tiles_of,
     within,
 )
 
@@ -71,7 +72,7 @@ def find_passable(
     passable, blocked, near_obstacle = (np.zeros_like(wanted) for _ in range(3))
     loops.find_ways(np.ascontiguousarray(objects), mask, edges, wanted, corners, passable, blocked)
     if blocked.any():
-        near_obstacle = np.asarray(_tiles_of(within(stands, radius), pixels).any(axis=(2, 3)))
+        near_obstacle = np.asarray(tiles_of(within(stands, radius), pixels)[1:-1, 1:-1].any(axis=(2, 3)))
     return np.select(
         [~wanted, blocked & near_obstacle, blocked, ~passable],
         [alone, np.uint8(Barred.OBSTACLE), np.uint8(Barred.LITTLE_SEEN), np.uint8(Barred.STEP)],
@@ -102,7 +103,7 @@ def free_areas(
     radius, corners = _reach(body, tile_size, pixels)
     taken = within((objects == OBSTACLE) | (objects == STEP_EDGE) | (objects == UNSEEN), radius)
     near = _beside(np.isin(alone, CLOSED_WHOLLY), min(radius, _MOST_MARGIN * pixels), pixels)
-    free = ~_tiles_of(taken, pixels) & ~near & ~np.isin(barred, CLOSED_WHOLLY)[..., None, None]
+    free = ~tiles_of(taken, pixels)[1:-1, 1:-1] & ~near & ~np.isin(barred, CLOSED_WHOLLY)[..., None, None]
     areas = np.empty(free.shape, np.uint8)
     loops.number_areas(np.ascontiguousarray(free).view(np.uint8), corners, areas)
     return areas
@@ -133,12 +134,6 @@ def _reach(body: VehicleBody, tile_size: float, pixels: int) -> tuple[float, boo
     """Return the radius that a vehicle keeps from obstacles, px, and whether free pixels join by their corners too."""
     reach = obstacle_reach(body.width_m)
     return reach * pixels / tile_size, corners_join(body.width_m, reach, tile_size / pixels)
-
-
-def _tiles_of(marks: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
-    """Return the inner tiles of a mosaic, (tiles - 2, tiles - 2, pixels, pixels)."""
-    rows, cols = (side // pixels for side in marks.shape)
-    return marks.reshape(rows, pixels, cols, pixels).swapaxes(1, 2)[1:-1, 1:-1]
 
 
 def _beside(marked: NDArray[np.bool_], reach: float, pixels: int) -> NDArray[np.bool_]:

@@ -54,7 +54,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import FAIL_SHARE, NO_CLASS, NORMAL_80, BadInputError, Floats, loops, within
+from bumpymap.core import FAIL_SHARE, NO_CLASS, NORMAL_80, BadInputError, Floats, loops, tiles_of, within
 from bumpymap.rating.calibration import Calibration, remembered
 from bumpymap.rating.ride.correction import class_chance
 from bumpymap.rating.ride.speed import plain_speed_factor
@@ -265,10 +265,8 @@ class TileSteps:
 
     def inner_tiles(self, pixels: int) -> "TileSteps":
         """Return the steps without the outermost tiles; ``closed`` and ``low`` (n, m, pixels, pixels) of the others."""
-        inner, (rows, cols) = np.s_[1:-1, 1:-1], (side // pixels for side in self.closed.shape)
-        closed, low = (
-            marks.reshape(rows, pixels, cols, pixels).swapaxes(1, 2)[2:-2, 2:-2] for marks in (self.closed, self.low)
-        )
+        inner = np.s_[1:-1, 1:-1]
+        closed, low = (tiles_of(marks, pixels)[2:-2, 2:-2] for marks in (self.closed, self.low))
         return TileSteps(self.border[inner], self.inner[inner], self.rim[inner], closed, low, self.limit[inner])
 
     @property
@@ -310,7 +308,7 @@ def find_steps(
     # Nothing beyond the ring of tiles may count, or two blocks would differ on the border that they share; and whether
     # the last pixel of the ring lies beside an obstacle is not known.
     level = min(_LEVEL_WIDTH * wheel, (pixels - _RUN - 2) / math.sqrt(2.0))
-    whole, is_thin = heights, _tile_sums(np.isfinite(heights), pixels) < _MOST_COVERAGE * pixels**2
+    whole, is_thin = heights, tiles_of(np.isfinite(heights), pixels).sum(axis=(2, 3)) < _MOST_COVERAGE * pixels**2
     if standing is not None and standing.any():
         heights = np.where(within(standing, _TOUCHING), np.nan, heights)
     z, turned = (
@@ -334,7 +332,7 @@ def find_steps(
     north, south = (side.T for side in _borders(north_south))
     border = np.stack([north, east, south, west], axis=-1)
     closed, low, jumps = np.empty(sides, np.bool_), np.empty(sides, np.bool_), np.zeros(sides, np.bool_)
-    wanted = is_thin & (_tile_sums(np.isfinite(whole), pixels) > _THINNEST * pixels**2)
+    wanted = is_thin & (tiles_of(np.isfinite(whole), pixels).sum(axis=(2, 3)) > _THINNEST * pixels**2)
     wanted = wanted if searched is None else wanted & searched
     if math.isfinite(closing) and wanted.any():
         asked = np.ascontiguousarray(wanted.T)
@@ -358,14 +356,8 @@ def _sure_gradient(z: Floats, pixels: int, asked: NDArray[np.bool_]) -> Floats:
     known[:, :-_APART] &= known[:, _APART:]
     columns = np.arange(known.shape[1]) % pixels
     known[:, columns >= pixels - _APART] = False
-    error = _MEDIAN_ERROR * spread / np.sqrt(np.maximum(_tile_sums(known, pixels), 1))
+    error = _MEDIAN_ERROR * spread / np.sqrt(np.maximum(tiles_of(known, pixels).sum(axis=(2, 3)), 1))
     return np.asarray(np.sign(rise) * np.nan_to_num(np.maximum(np.abs(rise) - 2.0 * error, 0.0))) / _APART
-
-
-def _tile_sums(marks: NDArray[np.bool_], pixels: int) -> NDArray[np.int64]:
-    """Return the number of marked pixels in each tile."""
-    rows, cols = (side // pixels for side in marks.shape)
-    return np.asarray(marks.reshape(rows, pixels, cols, pixels).sum(axis=(1, 3)))
 
 
 def _gradient(z: Floats, pixels: int, apart: int = 1, asked: NDArray[np.bool_] | None = None) -> tuple[Floats, Floats]:

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from bumpymap.core import (
     TEXTURES,
     BadInputError,
+    Floats,
     PatchStack,
     Reason,
-    TextureMap,
     UsageError,
     check_network,
     metadata_of,
@@ -36,8 +36,6 @@ train again."""
 MEASURES = 3
 """Length of a row of `measures_of`."""
 
-_Floats = NDArray[np.float64]
-
 
 def normalise(patches: NDArray[np.floating]) -> NDArray[np.float32]:
     """Scale each patch (n, pixels, pixels) without NaN to [0, 1] by its own extremes, as the texture network takes it.
@@ -46,12 +44,12 @@ def normalise(patches: NDArray[np.floating]) -> NDArray[np.float32]:
     """
     low = patches.min(axis=(1, 2), keepdims=True).astype(np.float64)  # extremes need no double precision
     span = patches.max(axis=(1, 2), keepdims=True) - low
-    scaled: _Floats = patches - low
+    scaled: Floats = patches - low
     scaled /= np.where(span > 0, span, 1.0)
     return scaled.astype(np.float32)
 
 
-def remove_plane(patches: NDArray[np.floating]) -> _Floats:
+def remove_plane(patches: NDArray[np.floating]) -> Floats:
     """Subtract the least-squares plane from each patch (n, pixels, pixels) without NaN.
 
     On a full square of pixels the regressors 1, x, y (centred) are orthogonal, so each coefficient is one dot product.
@@ -63,12 +61,12 @@ def remove_plane(patches: NDArray[np.floating]) -> _Floats:
     slope_row = np.einsum("nij,i->n", heights, axis) * weight
     slope_col = np.einsum("nij,j->n", heights, axis) * weight
     plane = slope_row[:, None, None] * axis[:, None] + slope_col[:, None, None] * axis[None, :]
-    residual: _Floats = heights - plane
+    residual: Floats = heights - plane
     return residual
 
 
 def measures_of(
-    relief_map: NDArray[np.floating], count: NDArray[np.integer], variance: NDArray[np.floating], rise: _Floats
+    relief_map: NDArray[np.floating], count: NDArray[np.integer], variance: NDArray[np.floating], rise: Floats
 ) -> NDArray[np.float32]:
     """Return what the network is given of a tile's metres beside its scaled patch, (n, 3).
 
@@ -162,22 +160,20 @@ class TextureModel:
         return cls(content, metadata, tile_size, pixels)
 
 
-def classify(patches: PatchStack, model: TextureModel) -> TextureMap:
-    """Classify the texture of n tiles: (n, 4) probabilities; NaN where ``reason`` is not 0.
+def classify(patches: PatchStack, model: TextureModel) -> NDArray[np.float32]:
+    """Classify the texture of n tiles: (n, 4) probabilities, see `CostMap`; NaN where ``reason`` is not 0.
 
     Raises UsageError if the network was trained for tiles of another size or another number of pixels.
     """
     model.require_grid(patches.grid.tile_size, patches.grid.pixels)
     known = np.flatnonzero(patches.reason == Reason.OK)
     relief = patches.relief_map[known]
-    if not np.isfinite(relief).all():
-        raise ValueError("a tile with reason 0 has NaN in its relief_map")
     probability = np.full((len(patches.reason), len(TEXTURES)), np.nan, np.float32)
     scaled = normalise(relief.reshape(len(relief), 1, model.pixels**2))  # min and max over one axis are 4 times faster
     rise = np.tan(np.radians(patches.slope[known])) * patches.grid.pixel_size
     measures = measures_of(relief, patches.spread_count[known], patches.spread_variance[known], rise)
     probability[known] = infer(model, scaled.reshape(relief.shape), measures)
-    return TextureMap(probability)
+    return probability
 
 
 def infer(model: TextureModel, scaled: NDArray[np.float32], measures: NDArray[np.float32]) -> NDArray[np.float32]:

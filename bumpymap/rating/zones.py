@@ -53,7 +53,10 @@ class ZoneFinder:
         blocks = int(column.max()) // BLOCK_TILES + 1
         canvas = np.zeros((BLOCK_TILES, px, blocks * BLOCK_TILES, px), np.bool_)
         canvas[line, :, column, :] = passage > 0
-        north, west = self._frame(block, blocks)
+        # Labels of the pixels north of the strip, one more on each side, and of those west of it.
+        nothing = np.zeros(side, np.int64)
+        lines = [self._south.get((block[0], block[1] + each), nothing) for each in range(-1, blocks + 1)]
+        north, west = np.concatenate([lines[0][-1:], *lines[1:-1], lines[-1][:1]]), self._east.get(block, nothing)
         framed = np.zeros((side + 1, blocks * side + 2), np.bool_)
         framed[1:, 1:-1] = canvas.reshape(side, -1)
         framed[0], framed[1:, 0] = north > 0, west > 0
@@ -77,12 +80,6 @@ class ZoneFinder:
         label = self._numbered(label)
         self._labels += found
         return label.astype(np.int32)
-
-    def _frame(self, block: BlockKey, blocks: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the labels of the pixels north of a strip, one more on each side, and of those west of it."""
-        (row, col), nothing = block, np.zeros(BLOCK_TILES * self._pixels, np.int64)
-        lines = [self._south.get((row, each), nothing) for each in range(col - 1, col + blocks + 1)]
-        return np.concatenate([lines[0][-1:], *lines[1:-1], lines[-1][:1]]), self._east.get(block, nothing)
 
     def _numbered(self, labels: NDArray[np.int32]) -> NDArray[np.int64]:
         """Return labels of a strip as labels of all; 0 stays 0."""

@@ -249,7 +249,7 @@ class LasSurvey(SurveyReader):
             x, y, z = (first / 2 + last / 2 for first, last in zip(raw.mins, raw.maxs, strict=True))
             has_middle = not options.trust_points and np.isfinite([x, y, z]).all()
             middle = Place(path, (x, y, z) if has_middle else None)
-            place, notes = georeference(middle, statement, options.given_crs, options.z_unit)
+            place, notes = georeference(middle, statement, options)
             bounds = None if options.trust_points else _bounds(path, raw, place)
             self._table: ChunkTable | None = None
             if raw.compressed:

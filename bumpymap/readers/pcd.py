@@ -117,22 +117,18 @@ def _refuse_size(stream: BinaryIO, path: Location, head: Any, room: int, memory:
                 f"{path} declares {unpacked:,} bytes of unpacked points, and {head.points:,} points of {row} bytes. "
                 "The file is damaged: copy or download it again"
             )
-        _refuse_unpacking(path, packed, unpacked, memory)
-
-
-def _refuse_unpacking(path: Location, packed: int, unpacked: int, memory: int) -> None:
-    """Refuse a compressed file that does not fit in memory unpacked, before unpacking it."""
-    needed = _UNPACKED_COPIES * unpacked + _PACKED_COPIES * packed
-    remedy = (
-        "Write it uncompressed (DATA binary), which is read in chunks: pcl_convert_pcd_ascii_binary IN.pcd OUT.pcd 1"
-    )
-    if needed > memory:
-        raise BadInputError(
-            f"{path} is compressed, so it must be unpacked as a whole, which needs {needed / 1e6:,.0f} MB; "
-            f"{memory / 1e6:,.0f} MB are available. {remedy}; or raise `memory`"
+        needed = _UNPACKED_COPIES * unpacked + _PACKED_COPIES * packed
+        remedy = (
+            "Write it uncompressed (DATA binary), which is read in chunks: pcl_convert_pcd_ascii_binary IN.pcd OUT.pcd "
+            "1"
         )
-    if unpacked > max(_SMALL, _PLAUSIBLE * packed):
-        raise BadInputError(
-            f"{path} would unpack to {unpacked / 1e6:,.0f} MB, {unpacked / packed:,.0f} times its size, which no cloud "
-            f"of different points does: it may be damaged, or made to fill the memory. {remedy}"
-        )
+        if needed > memory:
+            raise BadInputError(
+                f"{path} is compressed, so it must be unpacked as a whole, which needs {needed / 1e6:,.0f} MB; "
+                f"{memory / 1e6:,.0f} MB are available. {remedy}; or raise `memory`"
+            )
+        if unpacked > max(_SMALL, _PLAUSIBLE * packed):
+            raise BadInputError(
+                f"{path} would unpack to {unpacked / 1e6:,.0f} MB, {unpacked / packed:,.0f} times its size, which no "
+                f"cloud of different points does: it may be damaged, or made to fill the memory. {remedy}"
+            )

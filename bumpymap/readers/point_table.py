@@ -232,9 +232,13 @@ class TableSurvey(SurveyReader):
         if len(self._colours) < len(_COLOURS) or any(head.types[name].kind not in "ui" for name in self._colours):
             self._colours = []
         self._columns, self._class_column = (names["x"], names["y"], names["z"]), names.get("class")
-        points = self._first_points()
+        rows = table.rows(0, min(table.searched, head.count))
+        table.close()
+        with np.errstate(invalid="ignore"):  # NaN: beams without return
+            points: Floats = np.column_stack([np.asarray(rows[name], np.float64) for name in self._columns])
+        points = points[np.isfinite(points).all(axis=1)]
         first = Place(table.path, (points[0, 0], points[0, 1], points[0, 2]) if len(points) else None)
-        place, notes = georeference(first, CrsStatement(), options.given_crs, options.z_unit)
+        place, notes = georeference(first, CrsStatement(), options)
         if not head.is_text:
             east, north, up = _steps(points, [head.types[name] for name in self._columns])
             step, step_z = max(east, north) * place.metres_per_unit, up * place.metres_per_unit_z
@@ -283,11 +287,3 @@ class TableSurvey(SurveyReader):
             shift = 8 * (self._table.info.types[name].itemsize - 1)
             colour = colour << np.uint32(8) | (np.asarray(rows[name]).astype(np.int64) >> shift & 255).astype(np.uint32)
         return colour
-
-    def _first_points(self) -> Floats:
-        """Return those of the first ``searched`` points that have finite coordinates, in the unit of the file."""
-        rows = self._table.rows(0, min(self._table.searched, self._table.info.count))
-        self._table.close()
-        with np.errstate(invalid="ignore"):  # NaN: beams without return
-            table: NDArray[np.float64] = np.column_stack([np.asarray(rows[name], np.float64) for name in self._columns])
-        return table[np.isfinite(table).all(axis=1)]

@@ -77,7 +77,15 @@ def read_poses(path: Path, frames: Sequence[Path], known: NDArray[np.float64] | 
         times, source = _frame_times(frames, _beside(_TIMES, path, frames))
     if own_times is not None and times is not None:
         track = _track(path, own_times, poses)
-        _require_cover(path, track, times, source)
+        missing = ~track.covers(times)
+        if missing.any():
+            raise BadInputError(
+                f"{int(missing.sum()):,} of {len(times):,} frames have no pose, the first is number "
+                f"{int(missing.argmax()):,} (counted from 0): there is none within {NEAREST_S} s, nor are there two at "
+                f"most {LONGEST_GAP_S} s apart. The poses of {path} span {track.times[0]:.3f} to {track.times[-1]:.3f} "
+                f"s, the frames {times.min():.3f} to {times.max():.3f} s (from {source}). Leave these frames out, "
+                "complete the poses, or give both the same clock"
+            )
         motions = tuple(track.around(time, SCAN_S) for time in times.tolist())
         return FramePoses(track.at(times), motions, "time", calib)
     if len(poses) != len(frames):
@@ -180,19 +188,6 @@ def _track(path: Path, times: NDArray[np.float64], poses: NDArray[np.float64]) -
         )
     first = np.concatenate([[True], np.diff(times) > 0.0])
     return PoseTrack(times[first], poses[first])
-
-
-def _require_cover(path: Path, track: PoseTrack, times: NDArray[np.float64], source: str) -> None:
-    """Refuse frames without a pose."""
-    missing = ~track.covers(times)
-    if not missing.any():
-        return
-    raise BadInputError(
-        f"{int(missing.sum()):,} of {len(times):,} frames have no pose, the first is number {int(missing.argmax()):,} "
-        f"(counted from 0): there is none within {NEAREST_S} s, nor are there two at most {LONGEST_GAP_S} s apart. The "
-        f"poses of {path} span {track.times[0]:.3f} to {track.times[-1]:.3f} s, the frames {times.min():.3f} to "
-        f"{times.max():.3f} s (from {source}). Leave these frames out, complete the poses, or give both the same clock"
-    )
 
 
 def _read_file(path: Path) -> _PoseFile:

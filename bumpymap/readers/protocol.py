@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import GROUND_CLASSES, BadInputError, Georeference, GivenCrs, LengthUnit, PointCloud, UsageError
+from bumpymap.core import GROUND_CLASSES, BadInputError, Georeference, GivenCrs, PointCloud, UsageError
 from bumpymap.readers.point_stats import LineSums, PointStats, header_doubt, kinds_of, likely_feet, verify
 from bumpymap.readers.source import Location, Version, hash_survey, pinned_version, require_unchanged, version_of
 from bumpytiles import Bounds, Grid, GroupedPoints, ScaledPoints, group_points, group_scaled_points
@@ -23,31 +23,21 @@ CHUNK_POINTS = 500_000
 
 
 @dataclass(frozen=True, slots=True)
-class ReadOptions:
+class ReadOptions(GivenCrs):
     """Settings of the user that add to what the files state, or override it."""
 
-    crs: str | None = None
-    """CRS of files that state none; any that PROJ understands, such as ``EPSG:32614``."""
-    z_unit: LengthUnit | None = None
-    """Unit of heights; None: that of the file."""
     trust_points: bool = False
     """Ignore the extent in the header and use that of the points."""
     memory: int = 1 << 30
     """Memory limit, in bytes, for unpacking a file that cannot be read in chunks (compressed PCD)."""
     lines: bool = False
     """True if sums are made to compare the heights of flight lines."""
-    force_crs: str | None = None
-    """CRS of all files, whatever they state."""
-    crs_must_agree: bool = False
-    """True if a file that states another CRS than ``crs`` is refused; else its own is used, with a note."""
     ground_classes: tuple[int, ...] = GROUND_CLASSES
     """LAS classes that are ground."""
     keep_classes: bool = False
     """True if the kind of a point is its class."""
     colour: bool = False
     """True if the colours of points are read, where a file has some."""
-    xy_unit: LengthUnit | None = None
-    """Unit of easting and northing of files without a CRS; None: that of the file, else metres."""
     dtm: bool = False
     """True if a pixel of a raster of heights is ground; else it is the highest surface there."""
     pixel_m: float = math.inf
@@ -57,11 +47,6 @@ class ReadOptions:
     def kinds(self) -> NDArray[np.uint8]:
         """The kind of the points of each LAS class, (256,)."""
         return np.arange(256, dtype=np.uint8) if self.keep_classes else kinds_of(self.ground_classes)
-
-    @property
-    def given_crs(self) -> GivenCrs:
-        """CRS that the user gives."""
-        return GivenCrs(self.crs, self.force_crs, self.crs_must_agree, self.xy_unit)
 
 
 _COARSE = 0.25 * (1.0 + 1e-9)
@@ -96,8 +81,8 @@ class SurveyInfo:
     """True if points have a class; None: the format has the field, but it is unknown whether it is used."""
     notes: tuple[str, ...]
     """Notes for the user, one sentence each."""
-    version: Version | None = None
-    """Version of the file that is read, see `bumpymap.readers.source.version_of`; None if changes are not detected."""
+    version: Version = field(default_factory=dict)
+    """Version of the file that is read, see `bumpymap.readers.source.version_of`."""
     sequential: bool = False
     """True if the points can only be decoded sequentially from the start of the file."""
     parallel: bool = False

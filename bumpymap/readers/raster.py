@@ -91,7 +91,7 @@ class RasterSurvey(SurveyReader):
         x_step, y_step, west, north = _north_up(path, sides)
         rows, cols = self._shape
         middle = (west + x_step * cols / 2, north + y_step * rows / 2, 0.0)
-        place, notes = georeference(Place(path, middle), statement, options.given_crs, options.z_unit)
+        place, notes = georeference(Place(path, middle), statement, options)
         units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
         scales, origin = (x_step, y_step, _STEP), (west + x_step / 2, north + y_step / 2, 0.0)
         self._scaling = Scaling(scales, origin, units)

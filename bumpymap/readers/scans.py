@@ -145,24 +145,19 @@ class _Poses:
             if track is None:
                 continue
             known, poses = track.covers(times), track.at(times)
-            if not known.all():
-                self._tell_unknown(track, times, known)
+            if lost := len(known) - int(known.sum()):
+                what = (
+                    f"{lost:,} of {len(known):,} frames have no pose: relative to the first frame, frames span 0 to "
+                    f"{times[-1]:.1f} s, the recorded poses {track.times[0]:.1f} to {track.times[-1]:.1f} s"
+                )
+                if self._wanted is not None and not known.any():
+                    raise BadInputError(f"{what}. Are their headers from different clocks?")
+                _log.warning("%s. Frames without a pose are classified, but not mapped", what)
             for row, time, pose, ok in zip(own, times.tolist(), poses, known, strict=True):
                 if ok:
                     motion = track.around(time, SCAN_S)
                     placed[row] = replace(placed[row], pose=pose, motion=motion, pose_frame=fixed)
         return placed
-
-    def _tell_unknown(self, track: PoseTrack, times: NDArray[np.float64], known: NDArray[np.bool_]) -> None:
-        """Say that some frames have no pose; raise BadInputError if none has one, and the odometry was named."""
-        lost = len(known) - int(known.sum())
-        what = (
-            f"{lost:,} of {len(known):,} frames have no pose: relative to the first frame, frames span 0 "
-            f"to {times[-1]:.1f} s, the recorded poses {track.times[0]:.1f} to {track.times[-1]:.1f} s"
-        )
-        if self._wanted is not None and not known.any():
-            raise BadInputError(f"{what}. Are their headers from different clocks?")
-        _log.warning("%s. Frames without a pose are classified, but not mapped", what)
 
     def _track(self, sensor: str, origin_ns: int, times: NDArray[np.float64]) -> tuple[PoseTrack | None, str]:
         """Return the poses of a sensor by odometry, or else by transforms, and their frame; None if there are none."""

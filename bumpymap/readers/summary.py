@@ -31,7 +31,7 @@ from bumpymap.core import (
     Floats,
     Reason,
 )
-from bumpymap.readers.point_stats import LineSums, kinds_of, sampled, summed
+from bumpymap.readers.point_stats import AXIS_BITS, LineSums, cell_indices, kinds_of, sampled, summed
 from bumpymap.readers.protocol import SurveyReader
 from bumpymap.readers.unclassified import UnclassifiedPart, tile_marks
 from bumpytiles import BLOCK_TILES, Bounds, Grid
@@ -45,8 +45,8 @@ GROUP_PIXELS = 4_000_000
 """Pixels of tiles that are judged at once."""
 MERGE_AT = 4_000_000
 """Keys that wait to be merged, at most."""
-_INDEX_MASK = (1 << 23) - 1
-"""Tile indices are reduced to 23 bits: unique within 25,000 km for 3 m tiles."""
+_INDEX_MASK = (1 << AXIS_BITS) - 1
+"""Tile indices are reduced to 23 bits, as those of cells of flight lines: unique within 25,000 km for 3 m tiles."""
 
 
 class KeyCounts:
@@ -128,7 +128,7 @@ class TileCounts:
         px = self._grid.pixels // 2
 
         def of_pixel(keys: Ints) -> Ints:
-            row, col = (place & 1 for place in _tile_places(keys >> 16))
+            col, row = (place & 1 for place in cell_indices(keys >> 16))
             pixel = (col * px + (keys & 0xFFFF) // px) * 2 * px + row * px + (keys & 0xFFFF) % px
             return np.asarray(_parents(keys >> 16) << 16 | pixel)
 
@@ -185,15 +185,6 @@ def _summarise_classes(
         height = float(np.median(known)) if known.size else math.nan
         found[one] = int(sums[mine, 0].sum()), float(mine.sum() / tiles), height
     return found
-
-
-def dense_rule(settings: FeatureSettings, pixel_size: float) -> Rule:
-    """Return the rule of heightmaps: enough pixels hold a point, and none is far from all of these.
-
-    ``pixel_size``: m.
-    """
-    depth = max(1, round(settings.max_hole / pixel_size))
-    return lambda known, _: (known.mean(axis=(1, 2)) >= settings.min_coverage) & _filled(known, depth)
 
 
 def thin_rule(known: NDArray[np.bool_], points: NDArray[Any]) -> NDArray[np.bool_]:
@@ -358,7 +349,7 @@ class PointSummaryBuilder:
         tiles, place = np.unique(keys >> 8, return_inverse=True)
         flags = np.zeros((tiles.size, 8), np.bool_)
         flags[place, kinds_of(self._ground_classes)[keys & 0xFF]] = True
-        row, col = _tile_places(tiles)
+        col, row = cell_indices(tiles)
         of_block, block = np.unique(np.stack([row, col], axis=1) // BLOCK_TILES, axis=0, return_inverse=True)
         marks = np.zeros((len(of_block), BLOCK_TILES, BLOCK_TILES), np.uint8)
         marks[block.reshape(-1), row % BLOCK_TILES, col % BLOCK_TILES] = tile_marks(flags)
@@ -368,7 +359,8 @@ class PointSummaryBuilder:
             return 0
         keys, lowest = self.lowest.total()
         of_ground = (keys & 1) > 0
-        each = [(*_tile_places(keys[of] >> 1), lowest[of], bool(n)) for n, of in enumerate((~of_ground, of_ground))]
+        kinds = enumerate((~of_ground, of_ground))
+        each = [(*cell_indices(keys[of] >> 1)[::-1], lowest[of], bool(number)) for number, of in kinds]
         return int(part.never_classified(each).sum())
 
     def _unknown(self, held: TileCounts) -> dict[Reason, float]:
@@ -376,7 +368,11 @@ class PointSummaryBuilder:
         codes, counts = held.tiles.total()
         dense_enough = counts >= self._settings.min_points
         thin_enough = (counts >= THIN_POINTS) & self._thin
-        dense = dense_rule(self._settings, self._grid.pixel_size)
+        settings, depth = self._settings, max(1, round(self._settings.max_hole / self._grid.pixel_size))
+
+        def dense(known: NDArray[np.bool_], _: Ints) -> NDArray[np.bool_]:
+            """Judge heightmaps: enough pixels hold a point, and none is far from all of these."""
+            return np.asarray((known.mean(axis=(1, 2)) >= settings.min_coverage) & _filled(known, depth))
 
         def estimate(tiles: NDArray[np.bool_], *rules: Rule) -> float:
             return held.share_unknown(codes[tiles], *rules) * float(tiles.sum()) if tiles.any() else 0.0
@@ -387,14 +383,7 @@ class PointSummaryBuilder:
         return {Reason.TOO_FEW_POINTS: few, Reason.TOO_MANY_HOLES: holes}
 
 
-def _tile_places(codes: Ints) -> tuple[Ints, Ints]:
-    """Return rows and columns of tiles by their codes."""
-    half = (_INDEX_MASK + 1) >> 1
-    row, col = ((((codes >> shift) & _INDEX_MASK) ^ half) - half for shift in (0, 23))
-    return row, col
-
-
 def _parents(codes: Ints) -> Ints:
     """Return the codes of the tiles of twice the size that these are in."""
-    row, col = (place >> 1 & _INDEX_MASK for place in _tile_places(codes))
+    col, row = (place >> 1 & _INDEX_MASK for place in cell_indices(codes))
     return col << 23 | row

@@ -40,7 +40,6 @@ from bumpymap.rating import (
     Correction,
     MotionOperator,
     RideOperator,
-    SpeedRating,
     Vehicle,
     at_speed,
     chassis_response,
@@ -49,6 +48,7 @@ from bumpymap.rating import (
     less_floor,
     map_calibration,
     match_tiles,
+    motion_factors,
     motion_felt,
     move_over,
     remove_plane,
@@ -147,8 +147,8 @@ class LineVehicle(NamedTuple):
     calibration: Calibration
     correction: Correction
     operator: RideOperator
-    rating: SpeedRating | None
-    """At the profile's speed and at the one asked for."""
+    moving: MotionOperator | None
+    """At the profile's speed, at the one asked for, and at the map's; None if motion at these is not needed."""
     speed: float
     """m/s."""
     way: float
@@ -177,16 +177,14 @@ class LineVehicle(NamedTuple):
         if wanted != calibration.map_speed:
             at_speed(calibration, wanted)  # refuses what it cannot tell
         needed = motion or not wanted == own == calibration.map_speed
-        speeds = tuple(dict.fromkeys((own, wanted)))
-        every = tuple(dict.fromkeys((*speeds, calibration.map_speed))) if needed else ()
+        every = tuple(dict.fromkeys((own, wanted, calibration.map_speed))) if needed else ()
         operator, moving = _operators(calibration.profile, every, grid.tile_size, grid.pixels)
-        rating = None if moving is None else SpeedRating(calibration, speeds, moving)
         way = grid.pixel_size / operator.fine / 2
         taps = chassis_response(calibration.profile, way)
         stretch = math.ceil(grid.tile_size / 2 / way)
-        reach = len(taps) + max(stretch, len(heave_filter(wanted, way)[0]) // 2 if rating is not None else 0)
+        reach = len(taps) + max(stretch, len(heave_filter(wanted, way)[0]) // 2 if moving is not None else 0)
         correction, drive_log_sd = Correction.from_record(calibration.ride), site.rule.drive_log_sd
-        return cls(calibration, correction, operator, rating, wanted, way, taps, reach, drive_log_sd)
+        return cls(calibration, correction, operator, moving, wanted, way, taps, reach, drive_log_sd)
 
 
 @lru_cache(maxsize=4)
@@ -459,23 +457,24 @@ def _match(
 
     ``inside`` (n,): the middle of the vehicle is in them; of the others, speed and acceleration are not needed.
     """
-    calibration, rating = vehicle.calibration, vehicle.rating
+    calibration, moving = vehicle.calibration, vehicle.moving
     c_r, low, high = (less_floor(values, calibration.map_floor) for values in bands[:3])
     slope = np.nan_to_num(bands[3]).astype(np.float64)
     relief = remove_plane(heights).astype(np.float32)
     ratio, a_w, heave = np.ones(len(c_r)), np.full(len(c_r), np.nan), np.full(len(c_r), np.nan)
     own = c_r
-    if rating is not None:
-        speeds, nothing = rating.speeds, np.full((len(c_r), 2 * len(rating.speeds)), np.nan, np.float32)
+    if moving is not None:
+        speeds, nothing = moving.speeds, np.full((len(c_r), 2 * len(moving.speeds)), np.nan, np.float32)
         own = motion_felt(calibration, speeds, nothing, bands[0])[:, 0].astype(np.float64)
         own = less_floor(own, calibration.floor_at(speeds[0]))
     clean, rides, left = match_tiles(relief, own, slope, vehicle.correction, vehicle.operator)
-    if rating is not None:
-        motions = move_over(np.where(inside[:, None, None], clean, np.float32(np.nan)), rating.operator)
-        _, factors = rating.factors_of(motions, rides.pitch_change)
+    if moving is not None:
+        motions = move_over(np.where(inside[:, None, None], clean, np.float32(np.nan)), moving)
+        _, factors = motion_factors(calibration, speeds, motions, rides.pitch_change)
         felt = motion_felt(calibration, speeds, factors, bands[0]).astype(np.float64)
-        ratio = less_floor(felt[:, -2], calibration.floor_at(vehicle.speed)) / np.maximum(own, _LEAST)
-        a_w, heave = felt[:, -1], motions.heave[:, len(speeds) - 1]
+        at = speeds.index(vehicle.speed)
+        ratio = less_floor(felt[:, 2 * at], calibration.floor_at(vehicle.speed)) / np.maximum(own, _LEAST)
+        a_w, heave = felt[:, 2 * at + 1], motions.heave[:, at]
     sides = np.nan_to_num(interval_log_sd(c_r, low, high, vehicle.drive_log_sd))
     log_sd = np.where(np.isfinite(c_r), sides.mean(axis=0), np.nan)
     tiles = _Tiles(own, log_sd, ratio, slope, rides.belly_reach, left, a_w, heave)
@@ -520,7 +519,7 @@ def _felt(heights: Floats, seen: Floats, tile: _Tiles, vehicle: LineVehicle, wei
     reach, slope, stretch = np.nan_to_num(tile.reach), np.nan_to_num(tile.slope), calibration.tile_size
     felt = felt_along(_bridged(pitches), vehicle.taps, vehicle.way, stretch, reach, slope, vehicle.correction)
     shaken = np.full_like(tile.c_r, np.nan)
-    if vehicle.rating is not None:
+    if vehicle.moving is not None:
         taps, _ = heave_filter(vehicle.speed, vehicle.way)
         lifts = np.pad(_bridged(heights.mean(axis=1)), ((0, 0), (len(taps) // 2,) * 2), mode="edge")
         known = is_felt & (tile.heave > 0)

@@ -22,7 +22,6 @@ from bumpymap.core import (
     NO_CLASS,
     ClassedSectors,
     FeatureSettings,
-    Georeference,
     PatchStack,
     PolarCells,
     PolarSettings,
@@ -31,7 +30,6 @@ from bumpymap.core import (
     ScanMethod,
     SectorRide,
     SectorStack,
-    TextureMap,
     UsageError,
     cell_numbers,
 )
@@ -95,7 +93,7 @@ class SectorRater:
         """Rate tiles; return all those of the square around the sensor, north row first."""
         settings, calibration = FeatureSettings(), self._calibration
         patches = measure(points, settings, ground_only=False)
-        rated = self._ride.rate(patches, TextureMap.unknown(len(patches.reason)), Georeference(None))
+        rated = self._ride.rate(patches)
         found = {f.name: getattr(rated, f.name) for f in fields(BlockRating) if f.name != "reason"}
         laid = {name: self._lay(values, patches, NO_CLASS) for name, values in found.items()}
         first = BlockRating(**laid, reason=self._lay(patches.reason, patches, Reason.NO_POINTS))

@@ -32,6 +32,7 @@ from .flight_lines import (
 )
 from .inputs import (
     file_doubts as file_doubts,
+    read_options as read_options,
 )
 from .pipeline import (
     map_surveys as map_surveys,

@@ -1,7 +1,7 @@
 """Flight lines of a survey: how far their heights differ where they overlap."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Self
 
@@ -147,13 +147,9 @@ class FlightLines:
         """Largest step between two lines, m."""
         return max((pair.largest for pair in self.pairs), default=0.0)
 
-    def to_record(self) -> dict[str, Any]:
-        """Return a dict for JSON."""
-        return asdict(self)
-
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> Self:
-        """Restore the dict of ``to_record``."""
+        """Restore the dict that a manifest holds."""
         pairs = (pair | {"lines": tuple(pair["lines"]), "tilt": tuple(pair["tilt"])} for pair in record["pairs"])
         return cls(record["lines"], tuple(LinePair(**pair) for pair in pairs))
 

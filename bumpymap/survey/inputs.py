@@ -22,15 +22,15 @@ def read_options(config: MapConfig, *, crs_must_agree: bool = False) -> ReadOpti
     """Return the settings that the readers need."""
     return ReadOptions(
         config.crs,
+        config.force_crs,
+        crs_must_agree,
+        config.xy_unit,
         config.z_unit,
         config.trust_points,
         memory_bytes(config.memory),
         lines=config.align != "off",
-        force_crs=config.force_crs,
-        crs_must_agree=crs_must_agree,
         ground_classes=config.ground_classes,
         colour=config.photo is None,
-        xy_unit=config.xy_unit,
         dtm=config.dtm,
         pixel_m=config.grid.pixel_size,
     )
@@ -100,12 +100,6 @@ class SurveyInputs:
     def skip(self, reader: SurveyReader, error: BadInputError) -> None:
         """Skip a file that turned out to be bad while it was read; raise ``error`` if bad inputs end the run."""
         _skip(reader.info.path, error, self.skipped, skip_bad=self.skip_bad)
-
-    def sort_skipped(self) -> None:
-        """Bring those that were skipped while they were read into the order of the files."""
-        for reader in self.readers:
-            if (why := self.skipped.pop(str(reader.info.path), None)) is not None:
-                self.skipped[str(reader.info.path)] = why
 
     def check_window(self, grid: Grid, window: TileWindow) -> None:
         """Raise BadInputError, naming the files, if their tiles span more than a raster may."""

@@ -99,7 +99,7 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
     discard = overwrite or (in_batch and not complete)
     grid = config.grid
     most_seen = min(reader.info.most_seen for reader in inputs.readers)
-    rating = TileRating.of(config, models, inputs.georeference, most_seen)
+    rating = TileRating.of(config, models, most_seen)
     in_relief = rating.measure_all if config.compat == "none" else None  # the paper knows no obstacles
     columns = rated_columns(grid.pixels, headings=config.headings)
     if any(reader.has_colour for reader in inputs.readers):

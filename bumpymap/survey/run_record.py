@@ -34,7 +34,7 @@ from bumpymap.layers import (
     verified_record,
 )
 from bumpymap.patches import filter_version
-from bumpymap.readers import Location, SurveyInfo, hash_survey, identity
+from bumpymap.readers import Location, hash_survey, identity
 from bumpymap.survey.engine import Budget, MeasuredTiles
 from bumpymap.survey.flight_lines import FlightLines
 from bumpymap.survey.inputs import SurveyInputs
@@ -99,28 +99,21 @@ def survey_record(
     made from those of all; None if a file has none. ``dates``: the first and the last in the headers, ISO 8601; None if
     no header has one.
     """
+    paths = [Path(abspath(file)) for file in files]  # noqa: PTH100 (resolve() follows links)
+    if len(paths) == 1:
+        name = paths[0].stem.removesuffix(".copc") or paths[0].name
+    else:
+        folders = {path.parent for path in paths} if len(given) > 1 else {Path(abspath(given[0]))}  # noqa: PTH100
+        name = (folders.pop().name if len(folders) == 1 else "") or f"{len(files)} files"
     known = [checksum for checksum in checksums if checksum is not None]
     whole = len(known) == len(files)
     days = sorted(day for day in dates if day is not None)
     return {
-        "name": _printable(_name(given, files)),
+        # Metadata of layers cannot hold what is not text: bytes that are not UTF-8, control characters.
+        "name": "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name),
         "checksum": None if not whole else known[0] if len(known) == 1 else join_checksums(known),
         "dates": [days[0].isoformat(), days[-1].isoformat()] if days else None,
     }
-
-
-def _name(given: Sequence[Location], files: Sequence[Location]) -> str:
-    paths = [Path(abspath(file)) for file in files]  # noqa: PTH100 (resolve() follows links)
-    if len(paths) == 1:
-        return paths[0].stem.removesuffix(".copc") or paths[0].name
-    folders = {path.parent for path in paths} if len(given) > 1 else {Path(abspath(given[0]))}  # noqa: PTH100 (as above)
-    name = folders.pop().name if len(folders) == 1 else ""
-    return name or f"{len(files)} files"
-
-
-def _printable(name: str) -> str:
-    """Replace what is not text (bytes that are not UTF-8, control characters): metadata of layers cannot hold it."""
-    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name)
 
 
 _WITHOUT_EFFECT = {"surveys", "max_unknown"}
@@ -195,7 +188,19 @@ def run_manifest(
             [checksum for _, _, checksum in read],
             [info.header_date for info, _, _ in read],
         ),
-        "inputs": [_input_record(*each) for each in read],
+        "inputs": [
+            {
+                "path": str(info.path),
+                "format": info.format,
+                "points": info.point_count,
+                "dropped": dropped,
+                "notes": info.notes,
+                "bytes": info.version["size"],
+                "mtime_ns": info.version["mtime_ns"],
+                "checksum": checksum,
+            }
+            for info, dropped, checksum in read
+        ],
         "skipped": {str(path): why for path, why in skipped.items()},
         "warnings": list(dict.fromkeys((*warnings, *(f"skipped {path}: {why}" for path, why in skipped.items())))),
         "skipped_inputs": [
@@ -208,7 +213,7 @@ def run_manifest(
         "ground_only": measured.ground_only,
         **({"tiles_from_all_points": measured.from_all} if measured.from_all else {}),
         "points": measured.points,
-        "flight_lines": lines.to_record(),
+        "flight_lines": lines,
         "model": models.texture_id,
         **({"photo": run_spec["made with"]["photo"]} if config.photo else {}),
         "calibration": {
@@ -238,15 +243,3 @@ def _identity(path: Path, *, required: bool) -> dict[str, Any] | None:
         if required:
             raise
         return None
-
-
-def _input_record(info: SurveyInfo, dropped: dict[str, int], checksum: str | None) -> dict[str, Any]:
-    record = {
-        "path": str(info.path),
-        "format": info.format,
-        "points": info.point_count,
-        "dropped": dropped,
-        "notes": info.notes,
-    }
-    version = dict(info.version or {})
-    return record | {"bytes": version.pop("size", info.size_bytes)} | version | {"checksum": checksum}

@@ -39,6 +39,7 @@ from bumpymap.core import (
     VehicleBody,
     neighbour_columns,
     smallest_step,
+    tiles_of,
 )
 from bumpymap.patches import settle_solids
 from bumpymap.rating import (
@@ -138,7 +139,14 @@ def add_neighbours(
     progress.start("comparing neighbours", len(table.keys))
     sink = TileSink(folder, kind, rating.columns)
     strips = strips_of(table.keys, STRIP_BLOCKS)
-    for blocks, columns in run_blocks(lambda strip: (strip, _rate_strip(table, rating, strip)), strips, threads):
+
+    def rate(blocks: list[BlockKey]) -> tuple[list[BlockKey], Columns]:
+        tiles = table.read_blocks(blocks, ("col", "row"))
+        area = TileWindow.around(tiles["col"], tiles["row"])
+        rated, cells = rating(NeighbourWindow.read(table, area, rating.needs, rating.rings)), area.cells(**tiles)
+        return blocks, {column.name: rated[column.name][cells] for column in rating.columns} | tiles
+
+    for blocks, columns in run_blocks(rate, strips, threads):
         add_blocks(sink, table, blocks, columns)
         progress.advance(len(blocks))
     sink.flush()
@@ -161,14 +169,6 @@ def add_blocks(sink: TileSink, table: TileTable, blocks: Sequence[BlockKey], col
     ends = np.cumsum([0, *map(table.count, blocks)]).tolist()
     for key, (start, stop) in zip(blocks, pairwise(ends), strict=True):
         sink.add(key, {name: array[start:stop] for name, array in columns.items()})
-
-
-def _rate_strip(table: TileTable, rating: "_Rating", blocks: Sequence[BlockKey]) -> Columns:
-    """Return the new columns of the tiles of a strip."""
-    tiles = table.read_blocks(blocks, ("col", "row"))
-    area = TileWindow.around(tiles["col"], tiles["row"])
-    rated, cells = rating(NeighbourWindow.read(table, area, rating.needs, rating.rings)), area.cells(**tiles)
-    return {column.name: rated[column.name][cells] for column in rating.columns} | tiles
 
 
 _RATED = ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "reason")
@@ -357,10 +357,7 @@ class NeighbourRating:
 
     def _inner(self, mosaic: NDArray[_Value]) -> NDArray[_Value]:
         """Cut the inner tiles out of a mosaic, (n, m, pixels, pixels)."""
-        px = self.config.pixels
-        rows, cols = (side // px for side in mosaic.shape)
-        apart = mosaic.reshape(rows, px, cols, px).swapaxes(1, 2)
-        return apart[self.rings : -self.rings, self.rings : -self.rings]
+        return tiles_of(mosaic, self.config.pixels)[self.rings : -self.rings, self.rings : -self.rings]
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,10 +16,8 @@ from bumpymap.core import (
     POINT_OTHER,
     SEEN,
     UNSEEN,
-    Georeference,
     MapConfig,
     PatchStack,
-    TextureMap,
     smallest_object,
 )
 from bumpymap.patches import (
@@ -99,17 +97,14 @@ class TileRating:
     models: RatingModels
     ride: RideModel | None
     """None: rate by texture and relief."""
-    georeference: Georeference
     most_seen: float = math.inf
     """Points per m2 of which more show nothing more."""
 
     @classmethod
-    def of(
-        cls, config: MapConfig, models: RatingModels, georeference: Georeference, most_seen: float = math.inf
-    ) -> "TileRating":
+    def of(cls, config: MapConfig, models: RatingModels, most_seen: float = math.inf) -> "TileRating":
         """Choose the steps that the settings ask for."""
         ride = RideModel(models.calibration, headings=config.headings) if config.by_ride else None
-        return cls(config, models, ride, georeference, most_seen)
+        return cls(config, models, ride, most_seen)
 
     def measure_all(self, points: TilePoints) -> PatchStack:
         """Measure tiles from all of their points."""
@@ -144,16 +139,17 @@ class TileRating:
             points, bare = leave_out_standing(points, patches, found, config.features)
             objects = found[0]
             on_ground = True
-        network = self.models.texture
-        textures = TextureMap.unknown(len(patches.reason)) if network is None else classify(bare, network)
-        calibration = self.models.calibration
+        probability = None if self.models.texture is None else classify(bare, self.models.texture)
         if self.ride is not None:
-            rated = self.ride.rate(bare, textures, self.georeference)
+            rated = self.ride.rate(bare, probability)
         else:
             rating = rate_as_paper if config.compat == "paper" else rate
-            rated = rating(bare, textures, calibration, self.georeference)
+            rated = rating(bare, np.asarray(probability), self.models.calibration)
         # How thin a tile is, and whether it has holes, depends on its survey, and not on standing objects.
-        thin = self._thin(points, patches, on_ground, bare.count)
+        thin = None
+        if self.ride is not None:
+            pairs, maps = measure_thin(points, patches, config.features, ground_only=on_ground)
+            thin = thin_columns(pairs, maps, bare.count, self.ride.operator)
         measured = replace(patches, relief=bare.relief, slope=bare.slope, reason=bare.reason)
         if objects is not None:
             states, size = objects.objects, points.grid.tile_size
@@ -162,15 +158,3 @@ class TileRating:
             smallest = smallest_object(held, count, size, in_relief=not ground_only)
             rated = replace(rated, all_density=(count / size**2).astype(np.float32), smallest_object=smallest)
         return replace(rated, patches=measured, objects=objects, thin=thin).columns()
-
-    def _thin(
-        self, points: TilePoints, patches: PatchStack, ground_only: bool, count: NDArray[np.int64]
-    ) -> NDArray[np.float32] | None:
-        """Return what the second pass needs to rate thin tiles; None if they are not rated.
-
-        ``count`` (n,) are their points on the ground.
-        """
-        if self.ride is None:
-            return None
-        pairs, maps = measure_thin(points, patches, self.config.features, ground_only=ground_only)
-        return thin_columns(pairs, maps, count, self.ride.operator)

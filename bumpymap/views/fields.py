@@ -90,11 +90,11 @@ TIPS = {
 """Expressions of QGIS by file: a sentence on a feature."""
 
 
-def _with_ends(name: str, text: str, unit: str = "rad/m") -> dict[str, str]:
+def _with_ends(name: str, text: str) -> dict[str, str]:
     return {
-        name: f"{text} ({unit})",
-        f"{name}_low": f"{text}, lower end of its 80 % interval ({unit})",
-        f"{name}_high": f"{text}, upper end of its 80 % interval ({unit})",
+        name: f"{text} (rad/m)",
+        f"{name}_low": f"{text}, lower end of its 80 % interval (rad/m)",
+        f"{name}_high": f"{text}, upper end of its 80 % interval (rad/m)",
     }
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.stats import spearmanr
 
-from bumpymap.core import NO_CLASS, FeatureSettings, Georeference, Reason, TextureMap
+from bumpymap.core import NO_CLASS, FeatureSettings, Reason
 from bumpymap.lab.simulate.model import relief_and_slope
 from bumpymap.patches import measure, measure_thin
 from bumpymap.rating import THIN_RING, BlockRating, Calibration, RideModel, rate_thin, roll_over, thin_columns
@@ -86,7 +86,7 @@ def ride_of(points, model, corner, shape):
     laid = {}
     for block in buckets.blocks():
         patches = measure(block, settings, ground_only=False)
-        rated = model.rate(patches, TextureMap.unknown(len(patches.reason)), Georeference(None))
+        rated = model.rate(patches)
         columns = {f.name: getattr(rated, f.name) for f in fields(BlockRating) if f.name != "reason"}
         columns |= {name: getattr(patches, name) for name in ("reason", "coverage", "slope")}
         pairs, maps = measure_thin(block, patches, settings, ground_only=False)

@@ -36,7 +36,7 @@ SILENT = CrsStatement()
 
 
 def settle(statement=SILENT, crs=None, z_unit=None, place=HERE, force=None, must_agree=False, xy_unit=None):
-    return georeference(place, statement, GivenCrs(crs, force, must_agree, xy_unit), z_unit)
+    return georeference(place, statement, GivenCrs(crs, force, must_agree, xy_unit, z_unit))
 
 
 @pytest.mark.parametrize("text", ["EPSG:32614", "epsg:32614", "32614", "+proj=utm +zone=14 +datum=WGS84"])

@@ -1,12 +1,12 @@
 """A made-up map: every class, every reason, gaps without rows, heights with holes; and the regions of small maps."""
 
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from pyproj import CRS
 
 from bumpymap.core import CANOPY, FREE, OBSTACLE, SIDES, UNSEEN, CostTable, ObjectStack
-from bumpymap.core.types import NO_CLASS, CostMap, CostRule, Georeference, PatchStack, Reason, TextureMap
+from bumpymap.core.types import NO_CLASS, CostMap, CostRule, Georeference, PatchStack, Reason
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
 from bumpytiles import Grid, TileTable
@@ -41,6 +41,14 @@ def lone_columns(cost_map):
 def table_of(cost_map):
     tiles = TileTable.of(cost_map.patches.grid, lone_columns(cost_map))
     return CostTable(cost_map.georeference, cost_map.rule, tiles)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MadeMap(CostMap):
+    """Rated tiles, with their place on Earth and the rule of their cost."""
+
+    georeference: Georeference
+    rule: CostRule
 
 
 def make_map(col, row, class_id, reason, *, georeference=None, grid=None, seed=5, easy=False):
@@ -81,10 +89,10 @@ def make_map(col, row, class_id, reason, *, georeference=None, grid=None, seed=5
         relief=np.where(known, rng.random(n), np.nan),
         reason=reason,
     )
-    return CostMap(
+    return MadeMap(
         georeference=georeference or Georeference(UTM),
         patches=patches,
-        textures=TextureMap(chance),
+        probability=chance,
         class_id=class_id,
         c_r=middle,
         c_r_low=low,

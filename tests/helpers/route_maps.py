@@ -13,7 +13,7 @@ import rasterio
 from cost_maps import make_map, table_of
 from pyproj import CRS, Transformer
 
-from bumpymap.core import NO_CLASS, CostRule, Georeference, Reason, RouteVehicle, TextureMap
+from bumpymap.core import NO_CLASS, CostRule, Georeference, Reason, RouteVehicle
 from bumpymap.layers import MapReader, describe_file, write_products
 from bumpymap.views import write_map_views
 from bumpytiles import Grid, TileWindow
@@ -125,7 +125,6 @@ def site(*, seed=1):
     c_r = np.where(unknown, np.nan, 0.1 + 0.05 * (seed - 1)).astype(np.float32)
     p_fail = np.where(unknown, np.nan, 0.01).astype(np.float32)
     patches = replace(made.patches, slope=slope)
-    nothing = TextureMap.unknown(len(col))
     return replace(
-        made, patches=patches, textures=nothing, c_r=c_r, c_r_low=c_r * 0.8, c_r_high=c_r * 1.2, p_fail=p_fail
+        made, patches=patches, probability=None, c_r=c_r, c_r_low=c_r * 0.8, c_r_high=c_r * 1.2, p_fail=p_fail
     )

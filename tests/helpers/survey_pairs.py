@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 from cost_maps import make_map
 
-from bumpymap.core import TextureMap
 from bumpytiles import Grid
 
 ROWS, COLS = 30, 40
@@ -53,4 +52,4 @@ def survey(
         made.patches, heights=heights.astype(np.float32), density=np.full(n, 100.0 * seen), coverage=np.full(n, seen)
     )
     bands = {"c_r": ride, "c_r_low": ride * np.float32(0.88), "c_r_high": ride * np.float32(1.13)}
-    return replace(made, patches=patches, textures=TextureMap.unknown(n), p_fail=np.full(n, 0.01, np.float32), **bands)
+    return replace(made, patches=patches, probability=None, p_fail=np.full(n, 0.01, np.float32), **bands)

@@ -200,7 +200,7 @@ def test_geopandas_reads_every_value_back(written, cost_map):
     class_id = np.where(cost_map.class_id == NO_CLASS, np.nan, cost_map.class_id)
     np.testing.assert_array_equal(frame["class"], class_id[order])
     for number, texture in enumerate(TEXTURES):
-        np.testing.assert_array_equal(frame[f"p_{texture}"], cost_map.textures.probability[order, number])
+        np.testing.assert_array_equal(frame[f"p_{texture}"], cost_map.probability[order, number])
     np.testing.assert_array_equal(np.stack(frame["heights"]).reshape(-1, 15, 15), patches.heights[order])
     barred = [BARRED_TEXT[code] if code else None for code in lone_columns(cost_map)["barred"][order]]
     assert frame["barred"].astype(object).where(frame["barred"].notna(), None).tolist() == barred

@@ -10,7 +10,7 @@ from scipy.special import ndtr
 
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import UsageError
-from bumpymap.core.types import NO_CLASS, TEXTURES, Barred, CostRule, Georeference, Reason, TextureMap
+from bumpymap.core.types import NO_CLASS, TEXTURES, Barred, CostRule, Georeference, Reason
 from bumpymap.lab.simulate.ride_fit import survey_terrains
 from bumpymap.lab.terrains import make_terrain
 from bumpymap.patches.features import measure
@@ -49,44 +49,44 @@ def stack(relief, *, slope=0.0, coverage=1.0, reason=Reason.OK, raw_range=None):
 
 
 def one_hot(k, n):
-    return TextureMap(np.tile(np.eye(4, dtype=np.float32)[k], (n, 1)))
+    return np.tile(np.eye(4, dtype=np.float32)[k], (n, 1))
 
 
 @pytest.mark.parametrize("k", range(4))
 def test_a_certain_texture_reads_its_own_ladder_log_log(k):
     """Below and above the ladder C_r is proportional to the z range."""
     relief = np.array([0.0, 0.01, 0.02, 0.03, 0.1, 0.2, 0.5, 2.5, 5.0])
-    cost = rate(stack(relief), one_hot(k, 9), calibration(), HERE)
+    cost = rate(stack(relief), one_hot(k, 9), calibration())
     np.testing.assert_allclose(cost.c_r, SCALE[TEXTURES[k]] * relief, rtol=1e-5, atol=1e-8)
 
 
 def test_a_spread_that_is_unknown_throughout_still_gives_an_interval():
     unknown = calibration(c_r_log_sd=((None,) * 4,) * 4)
     for k in range(4):
-        cost = rate(stack([0.01, 0.1, 5.0]), one_hot(k, 3), unknown, HERE)
+        cost = rate(stack([0.01, 0.1, 5.0]), one_hot(k, 3), unknown)
         assert (cost.c_r_low < cost.c_r).all()
         assert (cost.c_r < cost.c_r_high).all()
 
 
 def test_ground_that_stops_the_vehicle_is_class_three_whatever_its_c_r():
-    failing = rate(stack([2.5]), one_hot(0, 1), calibration(), HERE)
+    failing = rate(stack([2.5]), one_hot(0, 1), calibration())
     assert failing.p_fail[0] == pytest.approx(0.8)
     assert (failing.class_id[0], failing.c_r[0]) == (3, pytest.approx(0.025))
-    steep = rate(stack([0.02], slope=31.0), one_hot(0, 1), calibration(), HERE)
+    steep = rate(stack([0.02], slope=31.0), one_hot(0, 1), calibration())
     assert (steep.class_id[0], steep.confidence[0]) == (3, 1.0)
     assert steep.p_fail[0] < 0.5  # that of the drives
 
 
 def test_beyond_the_last_rung_where_most_arrive_c_r_is_proportional_to_the_z_range():
     table = ((0.0002, 0.001, 0.005, None), (0.002, 0.01, None, None), (0.008, 0.04, 0.2, 1.0), (0.016, 0.08, 0.4, 2.0))
-    cost = rate(stack([2.5]), one_hot(1, 1), calibration(c_r=table, p_fail=((0.0, 0.0, 1.0, 1.0),) * 4), HERE)
+    cost = rate(stack([2.5]), one_hot(1, 1), calibration(c_r=table, p_fail=((0.0, 0.0, 1.0, 1.0),) * 4))
     assert cost.c_r[0] == pytest.approx(0.25)
     assert cost.class_id[0] == 3
 
 
 def test_probabilities_that_sum_to_a_little_more_than_one_make_no_p_fail_above_one():
     sure_failure = calibration(p_fail=((0.0, 0.0, 0.0, 1.0),) * 4)
-    cost = rate(stack([2.5]), TextureMap(np.full((1, 4), np.nextafter(np.float32(0.25), 1))), sure_failure, HERE)
+    cost = rate(stack([2.5]), np.full((1, 4), np.nextafter(np.float32(0.25), 1)), sure_failure)
     assert cost.p_fail[0] == 1.0
 
 
@@ -94,7 +94,7 @@ def test_unknown_tiles_stay_unknown():
     patches = stack([0.1, np.nan, 0.1], reason=[Reason.OK, Reason.TOO_MANY_HOLES, Reason.OK])
     probability = np.eye(4, dtype=np.float32)[[3, 3, 3]]
     probability[1] = np.nan
-    cost = rate(patches, TextureMap(probability), calibration(), HERE)
+    cost = rate(patches, probability, calibration())
     assert cost.class_id.tolist() == [1, NO_CLASS, 1]
     for name in ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence"):
         assert np.isnan(cost.band(name)).tolist() == [False, True, False]
@@ -102,7 +102,7 @@ def test_unknown_tiles_stay_unknown():
 
 def test_a_calibration_for_other_tiles_is_refused():
     with pytest.raises(UsageError, match=r"1\.5 m with 30 pixels.*3 m with 15"):
-        rate(stack([0.1]), one_hot(0, 1), calibration(tile_size=1.5, pixels=30), HERE)
+        rate(stack([0.1]), one_hot(0, 1), calibration(tile_size=1.5, pixels=30))
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_a_calibration_for_other_tiles_is_refused():
 )  # fmt: skip
 def test_the_papers_table(texture, raw_range, class_id):
     patches = stack([0.1], raw_range=raw_range)
-    cost = rate_as_paper(patches, one_hot(list(PAPER_TABLE).index(texture), 1), calibration(), HERE)
+    cost = rate_as_paper(patches, one_hot(list(PAPER_TABLE).index(texture), 1), calibration())
     assert cost.class_id.tolist() == [class_id]
     assert cost.c_r[0] == pytest.approx(calibration().class_c_r[class_id])
 
@@ -125,7 +125,7 @@ def test_the_paper_calls_thirty_percent_of_holes_and_what_it_cannot_judge_the_ro
     patches = stack([0.1, 0.1, np.nan], coverage=[0.7, 0.69, 1.0], reason=[Reason.OK, Reason.OK, Reason.OUTLIER_RELIEF])
     chance = np.eye(4, dtype=np.float32)[[0, 0, 0]]
     chance[2] = np.nan
-    assert rate_as_paper(patches, TextureMap(chance), calibration(), HERE).class_id.tolist() == [0, 3, 3]
+    assert rate_as_paper(patches, chance, calibration()).class_id.tolist() == [0, 3, 3]
 
 
 def mixtures(rng, n):
@@ -143,7 +143,7 @@ def mixtures(rng, n):
 def test_quantiles_and_confidence_equal_those_of_scipy():
     cal, chance, relief, mean, sd = mixtures(np.random.default_rng(2), 4000)
     coverage = np.where(relief < 0.5, 0.4, 1.0)
-    cost = rate(stack(relief, coverage=coverage), TextureMap(chance), cal, HERE)
+    cost = rate(stack(relief, coverage=coverage), chance, cal)
 
     def below(log_c):
         return np.sum(chance.astype(float) * ndtr((log_c[:, None] - mean) / sd), axis=1)
@@ -216,15 +216,15 @@ def patches():
     return measure(block, FeatureSettings(), ground_only=False)
 
 
-RATINGS = {"ride": lambda *given: RideModel(given[2]).rate(*given[:2], HERE)}
-RATINGS |= {"table": lambda *given: rate(*given, HERE), "paper": lambda *given: rate_as_paper(*given, HERE)}
+RATINGS = {"ride": lambda *given: RideModel(given[2]).rate(*given[:2])}
+RATINGS |= {"table": rate, "paper": rate_as_paper}
 
 
 @pytest.mark.parametrize("rating", RATINGS)
 def test_every_rating_adds_the_floor_in_power_and_keeps_its_classes(rating, patches):
     """One of zero changes no bit."""
     chance = np.random.default_rng(3).dirichlet(np.ones(4), len(patches.reason))
-    textures = TextureMap(chance.astype(np.float32))
+    textures = chance.astype(np.float32)
     zero = replace(SHIPPED, vehicle=SHIPPED.vehicle | {"floor": {"c_r_radpm": 0.0}})
     bare, same, raised = (RATINGS[rating](patches, textures, calibration) for calibration in (SHIPPED, zero, RAISED))
     assert len(set(bare.class_id.tolist())) >= 3

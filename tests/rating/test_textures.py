@@ -47,7 +47,7 @@ def test_level_ground_is_flat_through_any_noise(model, measure_points, points, n
     patches = seen(measure_points, np.zeros((60, 15, 15)), points, noise, np.random.default_rng(0))
     judged = patches.reason == Reason.OK
     assert judged.all() or points <= 10, "only few points leave too many holes"
-    answer = classify(patches, model).probability[judged].argmax(axis=1)
+    answer = classify(patches, model)[judged].argmax(axis=1)
     assert np.count_nonzero(answer) <= (0.05 if points > 10 else 0.15) * len(answer)
 
 
@@ -56,7 +56,7 @@ def test_level_ground_is_flat_through_any_noise(model, measure_points, points, n
 def test_each_form_at_its_relief_is_told_through_noise(model, measure_points, k, relief, points, noise):
     rng = np.random.default_rng([k, points])
     patches = seen(measure_points, relief * make_textures(TEXTURES[k], 100, rng), points, noise, rng)
-    assert (classify(patches, model).probability.argmax(axis=1) == k).mean() > 0.9
+    assert (classify(patches, model).argmax(axis=1) == k).mean() > 0.9
 
 
 @pytest.mark.parametrize(("wavelength", "crossing"), [(0.4, False), (0.6, True), (0.75, False), (0.75, True)])
@@ -67,7 +67,7 @@ def test_short_regular_waves_are_never_taken_for_smooth_ground(model, measure_po
     for turn in np.linspace(0, np.pi / 2, 5):
         along, across = np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x
         z = 0.1 * np.sin(k * along) * (np.sin(k * across) if crossing else 1.0) + 0.003 * rng.normal(size=len(x))
-        flat = classify(measure_points(x, y, z), model).probability[:, TEXTURES.index("flat")]
+        flat = classify(measure_points(x, y, z), model)[:, TEXTURES.index("flat")]
         assert len(flat) == 100
         assert flat.mean() < 0.1
         assert np.quantile(flat, 0.97) < 0.5
@@ -77,7 +77,7 @@ def test_ground_without_any_relief_is_flat(model):
     level = np.zeros((3, 15, 15))
     level[1] = 5.0
     level[2] = _textures(1)[3] * 1e-3
-    assert classify(stack_of(level), model).probability[:, 0].min() > 0.95
+    assert classify(stack_of(level), model)[:, 0].min() > 0.95
 
 
 @pytest.mark.parametrize("grid", [Grid(1.5, 15), Grid(3.0, 30)])

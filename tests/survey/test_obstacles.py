@@ -30,7 +30,7 @@ from bumpymap.core import (
 )
 from bumpymap.core.config import MapConfig
 from bumpymap.core.interrupts import SilentProgress
-from bumpymap.core.types import Georeference, rated_columns
+from bumpymap.core.types import rated_columns
 from bumpymap.layers import open_map
 from bumpymap.rating import find_steps
 from bumpymap.survey import second_pass
@@ -63,7 +63,7 @@ def rated(models, points, folder):
     buckets = TileBuckets(grid)
     x, y, z = points
     buckets.add(x + WEST, y + SOUTH, z + 50.0, np.zeros(len(x), np.bool_))
-    rating = TileRating.of(config, loaded, Georeference(None))
+    rating = TileRating.of(config, loaded)
     blocks = [rating(block, False) for block in buckets.blocks()]
     columns = {c.name: np.concatenate([block[c.name] for block in blocks]) for c in rated_columns(grid.pixels)}
     folder.mkdir()

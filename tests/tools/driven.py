@@ -19,7 +19,7 @@ from scipy.stats import spearmanr
 from sklearn.metrics import roc_auc_score
 from survey_tiles import MeasuredSurvey
 
-from bumpymap.core import Georeference, Reason
+from bumpymap.core import Reason
 from bumpymap.lab.evaluate import number, percent, table
 from bumpymap.lab.settings import DriveSettings
 from bumpymap.lab.simulate.drive import drive_patch
@@ -36,8 +36,8 @@ def rated(surveys, options, calibration, grid):
     survey = MeasuredSurvey(surveys, options, grid)
     ground, slope, found = [], [], {"ride": [], "table": []}
     for patches in survey.measured(survey.buckets.blocks()):
-        place, seen = Georeference(None), classify(patches, textures)
-        maps = {"ride": ride.rate(patches, seen, place), "table": rate(patches, seen, calibration, place)}
+        seen = classify(patches, textures)
+        maps = {"ride": ride.rate(patches, seen), "table": rate(patches, seen, calibration)}
         known = patches.reason == Reason.OK
         ground += [on_plane(patches.relief_map[tile], patches.heights[tile]) for tile in np.flatnonzero(known)]
         slope.append(patches.slope[known])

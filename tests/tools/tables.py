@@ -13,15 +13,15 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from survey_tiles import MeasuredSurvey
 
 import bumpymap
-from bumpymap.core import CLASS_NAMES, Georeference, SilentProgress
-from bumpymap.lab import ScanEvaluateSettings, evaluate_scans, percent
-from bumpymap.lab.evaluate import number, scan_class_lines, table
+from bumpymap.core import CLASS_NAMES
+from bumpymap.lab.evaluate import number, percent, table
 from bumpymap.rating import Calibration, TextureModel, classify, rate_as_paper
 from bumpymap.readers import ReadOptions, find_frames, read_scan
-from bumpymap.scan import ScanModel, load_stripes
+from bumpymap.scan import ScanModel, classify_filter, classify_learned, load_stripes, polar_sectors
 from bumpytiles import Grid
 
 PAPER_COSTS = (("heightmap method", "12.257", "0.084"), ("variance and residual from points", "41.027", "-"))
@@ -75,7 +75,7 @@ def second_table(surveys, crs, heightmap_bytes):
         return list(survey.measured(islice(survey.buckets.blocks(), MOST_BLOCKS)))
 
     def judged(stacks):
-        return [rate_as_paper(one, classify(one, network), calibration, Georeference(None)) for one in stacks]
+        return [rate_as_paper(one, classify(one, network), calibration) for one in stacks]
 
     judged(measured())  # loads code and network
     start = time.process_time()
@@ -99,11 +99,19 @@ def second_table(surveys, crs, heightmap_bytes):
 
 
 def scan_tables(frames):
-    """Return the lines of Tables IV and V of the frames of a scanner."""
-    found = find_frames(frames)
-    scans = map(read_scan, found)
-    settings, stripes, network = ScanEvaluateSettings(), load_stripes(), ScanModel.shipped()
-    return scan_class_lines(evaluate_scans(scans, len(found), settings, stripes, network, SilentProgress()))
+    """Return the lines of Tables IV and V of the frames of a scanner: of sectors with ground, by class."""
+    stripes, network, parts = load_stripes(), ScanModel.shipped(), []
+    for scan in map(read_scan, find_frames(frames)):
+        stack = polar_sectors(scan)
+        by_filter = classify_filter(stack, stripes)
+        for method, found in (("filter", by_filter), ("learned", classify_learned(stack, network))):
+            own = {"class": found.class_id, "stripes": by_filter.stripes}
+            own |= {"variance [m2]": stack.variance, "residual [m]": stack.residual}
+            parts.append(pd.DataFrame(own)[stack.traversable].assign(method=method))
+    classes = pd.concat(parts).groupby(["method", "class"])
+    figures = classes.agg(["median", "mean"])
+    rows = [[*map(str, key), str(classes.size()[key]), *map(number, row)] for key, *row in figures.itertuples()]
+    return table(("method", "class", "sectors", *map(", ".join, figures.columns)), rows)
 
 
 def main():

@@ -16,6 +16,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from operator import attrgetter
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -34,8 +35,6 @@ _MIN_HEIGHT = 1e-4
 """Smallest height range and height difference, m; less makes no difference."""
 _MOST_REACH = 3.0
 """Reach of the ground towards the belly beyond which more makes no difference."""
-_C_R_TERMS, _FAIL_TERMS = 9, 10
-"""Numbers of coefficients of `ride_features` and `fail_features`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +83,8 @@ class Coefficients:
     """The model in error messages."""
     parts: ClassVar[dict[str, Callable[[Any], Any]]] = {}
     """Fields that are no numbers, but records of their own: name -> what reads it."""
+    lengths: ClassVar[dict[str, int]] = {}
+    """Number of coefficients by field, also by ``part.field``."""
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> Self:
@@ -107,6 +108,9 @@ class Coefficients:
 
     def require_lengths(self) -> None:
         """Raise ValueError if there are too few or too many coefficients."""
+        for name, wanted in self.lengths.items():
+            if (found := len(attrgetter(name)(self))) != wanted:
+                raise ValueError(f"{found} coefficients of {name}, not {wanted}")
 
 
 def _numbers(value: Any) -> Any:
@@ -118,7 +122,7 @@ def _numbers(value: Any) -> Any:
 class Correction(Coefficients):
     """Coefficients that turn geometric values into predictions, fitted to the drives of a calibration."""
 
-    model = "the ride model"
+    model, lengths = "the ride model", {"log_range": 2, "spread": 2, "c_r": 9, "fail": 10}
 
     log_range: tuple[float, float]
     """Lowest and highest ln g of the driven patches."""
@@ -145,12 +149,10 @@ class Correction(Coefficients):
 
     def require_lengths(self) -> None:
         """Raise ValueError if tables or coefficients do not fit."""
+        Coefficients.require_lengths(self)
         shapes = {np.shape(table) for table in (self.noise_low, self.noise_middle, self.noise_high)}
-        if shapes != {(len(self.pixel_points), len(self.excess))} or (len(self.log_range), len(self.spread)) != (2, 2):
+        if shapes != {(len(self.pixel_points), len(self.excess))}:
             raise ValueError("tables of different sizes")
-        for name, coefficients, wanted in (("C_r", self.c_r, _C_R_TERMS), ("p_fail", self.fail, _FAIL_TERMS)):
-            if len(coefficients) != wanted:
-                raise ValueError(f"{len(coefficients)} coefficients of {name}, not {wanted}")
         if not 0.0 <= self.model_error < math.inf:
             raise ValueError(f"model_error is {self.model_error}")
 

@@ -11,7 +11,6 @@ one that stands far out of the noise keeps what is above it, so that a kerb or a
 What the points cannot tell: errors that neighbours share (photogrammetry, flight lines) look like ground, and stay.
 """
 
-from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
@@ -25,17 +24,15 @@ from bumpymap.core import (
     NORMAL_80,
     CostMap,
     Floats,
-    Georeference,
     PatchStack,
     Reason,
-    TextureMap,
     loops,
 )
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride.correction import Correction, Prediction, class_chance
-from bumpymap.rating.ride.motion_operator import move_over, roll_over
+from bumpymap.rating.ride.motion_operator import MotionOperator, move_over, roll_over
 from bumpymap.rating.ride.operator import RideOperator, cosines
-from bumpymap.rating.ride.speed import LEVEL, SpeedRating, map_rule, plain_speed_factor, speed_log_sd
+from bumpymap.rating.ride.speed import LEVEL, motion_factors, plain_speed_factor, speed_log_sd
 from bumpymap.rating.vehicle_body import with_floor
 
 _STEEPNESS = (2.0, 2.6, 3.2, 3.8, 4.5)
@@ -107,10 +104,11 @@ class RideModel:
         self.operator = RideOperator.of(calibration.profile, calibration.tile_size, calibration.pixels)
         self.correction = Correction.from_record(calibration.ride)
         self.headings = headings
-        self.speed: SpeedRating | None = None
+        self.moving: MotionOperator | None = None
         """Of a map at another speed than the profile's."""
         if calibration.map_speed != float(calibration.vehicle["speed_mps"]):
-            self.speed = SpeedRating.of(calibration, ())
+            size = calibration.tile_size, calibration.pixels
+            self.moving = MotionOperator.of(calibration.profile, *size, (calibration.map_speed,))
 
     def _predict(self, patches: PatchStack, by_axis: Floats | None) -> Prediction:
         """Predict C_r and p_fail of n tiles, NaN where a tile cannot be judged.
@@ -126,16 +124,16 @@ class RideModel:
         pixel_points = patches.count / patches.grid.pixels**2
         noise_felt = noise * self.operator.noise_gain
         found = self.correction.predict(rides, patches.slope.astype(np.float64), noise_felt, pixel_points)
-        if self.speed is None:
+        if self.moving is None:
             return found
-        motions = move_over(relief_map, self.speed.operator)
-        log_ratio, _ = self.speed.factors_of(motions, rides.pitch_change)
+        motions = move_over(relief_map, self.moving)
+        log_ratio, _ = motion_factors(self.calibration, self.moving.speeds, motions, rides.pitch_change)
         level = plain_speed_factor(self.calibration, found.log_c_r)
         log_ratio = np.where(np.isnan(log_ratio), level, log_ratio)
         return found.at_speed(log_ratio, speed_log_sd(self.calibration))
 
-    def rate(self, patches: PatchStack, textures: TextureMap, georeference: Georeference) -> CostMap:
-        """Rate n tiles; textures and georeference travel with the result, and the ride model does not look at them.
+    def rate(self, patches: PatchStack, probability: NDArray[np.float32] | None = None) -> CostMap:
+        """Rate n tiles; the probability of textures travels with the result, and the ride model does not look at it.
 
         Raises UsageError if the calibration was made for tiles of another size or another number of pixels.
         """
@@ -147,9 +145,7 @@ class RideModel:
         class_id, chance = judge(found, patches.slope, calibration)
         c_r, low, high = interval(found, calibration.map_floor)
         return CostMap(
-            georeference=georeference,
             patches=patches,
-            textures=textures,
             class_id=np.where(known, class_id, NO_CLASS).astype(np.uint8),
             c_r=_where(known, c_r),
             c_r_low=_where(known, low),
@@ -157,7 +153,7 @@ class RideModel:
             p_fail=_where(known, found.p_fail),
             # Filled pixels are a guess; a tile full of them is believed less.
             confidence=_where(known, chance * np.sqrt(patches.coverage)),
-            rule=replace(map_rule(calibration), drive_log_sd=DRIVE_LOG_SD),
+            probability=probability,
             headings=None if by_axis is None else _where(known[:, None], by_axis),
         )
 

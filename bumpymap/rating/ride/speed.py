@@ -25,15 +25,12 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError, CostRule, Floats, UsageError
 from bumpymap.rating.calibration import MAP_SPEED, Calibration, find_calibration, remembered, shipped_calibrations
 from bumpymap.rating.ride.correction import Coefficients
-from bumpymap.rating.ride.motion_operator import MotionOperator, Motions
+from bumpymap.rating.ride.motion_operator import Motions
 from bumpymap.rating.vehicle_body import less_floor, with_floor
 from bumpymap.rating.vehicle_profile import Vehicle
 
 QUANTITIES = ("c_r", "a_w")
 """Predicted at each speed: rad/m, m/s2."""
-_TERMS = {"c_r": 6, "a_w": 10}
-_PLAIN_TERMS = {"c_r": 5, "a_w": 6}
-"""Numbers of coefficients of `motion_terms` and of `plain_terms`."""
 _LEAST = 1e-5
 """Geometric values below are rounding errors, rad/m and m/s2."""
 
@@ -60,6 +57,8 @@ class MotionModel(Coefficients):
 
     model = "the record of speeds"
     parts = dict.fromkeys(QUANTITIES, MotionFit.from_record)
+    lengths = {"range": 2, "log_range": 2, "log_c_r_range": 2}  # noqa: RUF012 (a ClassVar of the base)
+    lengths |= {"c_r.terms": 6, "a_w.terms": 10, "c_r.plain": 5, "a_w.plain": 6}
 
     range: tuple[float, float]
     """Lowest and highest speed that may be asked for, as shares of the profile's."""
@@ -71,15 +70,6 @@ class MotionModel(Coefficients):
     a_w: MotionFit
     origin: dict[str, Any]
     """The data of the fit, and its errors."""
-
-    def require_lengths(self) -> None:
-        """Raise ValueError if there are too few or too many coefficients."""
-        if any(len(ends) != 2 for ends in (self.range, self.log_range, self.log_c_r_range)):
-            raise ValueError("a range has no two ends")
-        for name in QUANTITIES:
-            lengths = tuple(len(getattr(getattr(self, name), kind)) for kind in ("terms", "plain"))
-            if lengths != (_TERMS[name], _PLAIN_TERMS[name]):
-                raise ValueError(f"{lengths[0]} and {lengths[1]} coefficients of {name}")
 
     def plain_log_factors(self, c_r: Floats, log_speed: Floats) -> Floats:
         """Return ln of each of ``QUANTITIES`` over the C_r at the profile's speed, rad/m, from it, (..., k, 2).
@@ -206,40 +196,22 @@ def _log_ratios(calibration: Calibration, speeds: Sequence[float]) -> Floats:
     return np.log(np.array(speeds) / calibration.profile.speed_mps)
 
 
-@dataclass(frozen=True, slots=True)
-class SpeedRating:
-    """Rates tiles at several speeds, as factors on the C_r of the map."""
+def motion_factors(
+    calibration: Calibration, speeds: Sequence[float], motions: Motions, pitch_change: Floats
+) -> tuple[Floats, NDArray[np.float32]]:
+    """Return ln of C_r at the map's speed over that at the profile's, (n,), and factors on the former, (n, 2 k).
 
-    calibration: Calibration
-    speeds: tuple[float, ...]
-    """m/s."""
-    operator: MotionOperator
-    """For these speeds and, if it is none of them, the speed of the map."""
+    ``motions``: of `move_over` at k ``speeds`` [m/s], of which the map's is one; ``pitch_change`` (n,): geometric C_r
+    at the profile's speed, rad/m. Factors for each speed: c_r over that of the map, and a_w [m/s2 per rad/m] over it.
 
-    @classmethod
-    def of(cls, calibration: Calibration, speeds: tuple[float, ...]) -> "SpeedRating":
-        """Make the rating of a calibration."""
-        every = tuple(dict.fromkeys((*speeds, calibration.map_speed)))
-        operator = MotionOperator.of(calibration.profile, calibration.tile_size, calibration.pixels, every)
-        return cls(calibration, speeds, operator)
-
-    def factors_of(self, motions: Motions, pitch_change: Floats) -> tuple[Floats, NDArray[np.float32]]:
-        """Return ln of C_r at the map's speed over that at the profile's, (n,), and factors on the former, (n, 2 k).
-
-        ``motions``: of `move_over` by the ``operator``; ``pitch_change`` (n,): geometric C_r at the profile's speed,
-        rad/m. Factors for each of k speeds: c_r over that of the map, and a_w [m/s2 per rad/m] over it.
-
-        Both are NaN where the heightmap, without its noise, is as good as level: its form tells nothing then.
-        """
-        model = _model(self.calibration)
-        terms = motion_terms(
-            motions, pitch_change, _log_ratios(self.calibration, self.operator.speeds), model.log_range
-        )
-        logs = np.stack([terms[name] @ np.array(getattr(model, name).terms) for name in QUANTITIES], axis=-1)
-        logs[~(pitch_change > LEVEL)] = np.nan
-        own = logs[:, self.operator.speeds.index(self.calibration.map_speed), 0]
-        ratio = np.exp(logs[:, : len(self.speeds)] - own[:, None, None])
-        return own, ratio.reshape(len(logs), -1).astype(np.float32)
+    Both are NaN where the heightmap, without its noise, is as good as level: its form tells nothing then.
+    """
+    model = _model(calibration)
+    terms = motion_terms(motions, pitch_change, _log_ratios(calibration, speeds), model.log_range)
+    logs = np.stack([terms[name] @ np.array(getattr(model, name).terms) for name in QUANTITIES], axis=-1)
+    logs[~(pitch_change > LEVEL)] = np.nan
+    own = logs[:, speeds.index(calibration.map_speed), 0]
+    return own, np.exp(logs - own[:, None, None]).reshape(len(logs), -1).astype(np.float32)
 
 
 def motion_felt(
@@ -248,7 +220,7 @@ def motion_felt(
     """Return what is felt at k speeds [m/s], (..., 2 k): c_r [rad/m] and a_w [m/s2] each; NaN in unknown tiles.
 
     The factors are those of the driven C_r: the vehicle's floor is taken off before, and comes back to ``c_r`` alone.
-    ``calibration``: at the speed of the map; ``factors`` (..., 2 k): of `SpeedRating.factors_of`, NaN where the
+    ``calibration``: at the speed of the map; ``factors`` (..., 2 k): of `motion_factors`, NaN where the
     heightmap does not tell; ``c_r`` (...): of the map, with the vehicle's floor, rad/m.
     """
     driven = less_floor(c_r, calibration.map_floor)

@@ -77,6 +77,7 @@ class ThinModel(Coefficients):
     """Coefficients of the prediction for thin tiles."""
 
     model = "the model of thin surveys"
+    lengths = {"relief": 2, "felt": 3, "c_r": 11, "spread": 8, "sides": 2, "fail": 20}  # noqa: RUF012 (as ClassVar)
 
     relief: tuple[float, float]
     """ln of the ground's strength [m] below and beyond which C_r grows as that does."""
@@ -95,19 +96,6 @@ class ThinModel(Coefficients):
     """Coefficients of `fail_terms`, in logits."""
     origin: dict[str, Any]
     """The data of the fit, and its errors."""
-
-    def require_lengths(self) -> None:
-        """Raise ValueError if there are too few or too many coefficients."""
-        row, strength = np.ones((1, len(THIN_COLUMNS))), Strength(*np.zeros((3, 1)))
-        for name, terms in (
-            ("c_r", ride_terms(row, strength, self.felt, self.relief)),
-            ("spread", spread_terms(row, strength, self.felt, self.relief)),
-            ("fail", fail_terms(row, strength, self.felt)),
-        ):
-            if len(getattr(self, name)) != terms.shape[1]:
-                raise ValueError(f"{len(getattr(self, name))} coefficients of {name}, not {terms.shape[1]}")
-        if len(self.sides) != 2:
-            raise ValueError(f"sides are {self.sides}")
 
     def predict(self, columns: Floats, strength: Strength) -> Prediction:
         """Predict C_r and p_fail of n tiles; NaN where a column is.

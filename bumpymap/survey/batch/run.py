@@ -89,9 +89,14 @@ def map_one(task: MapTask) -> TaskEnd:
         try:
             row = _mapped(task)
         except Exception as error:  # noqa: BLE001 (the other surveys are mapped all the same)
-            row = _failed(task, _why_failed(error), time.perf_counter() - begin)
+            message = str(error)
             if not isinstance(error, BumpymapError):
-                trace = traceback.format_exc()
+                trace, full = traceback.format_exc(), refused_write(error)
+                message = f"{type(error).__name__}: {error}" + (f" ({full})" if full else "")
+            if what := missing_resource(error):
+                advice = "give fewer `jobs` or less `memory`"
+                message = f"the machine has no {what} left for this: {advice}. {message}"
+            row = _failed(task, message, time.perf_counter() - begin)
     return replace(row, warnings=tuple(dict.fromkeys([*row.warnings, *said]))), trace
 
 
@@ -120,16 +125,6 @@ def _mapped(task: MapTask) -> SurveyRow:
     except TooUnknownError as error:
         message, status = f"{message} {error}".strip(), "incomplete"
     return SurveyRow(task.name, status, message, survey=task.survey, **map_facts(out))
-
-
-def _why_failed(error: Exception) -> str:
-    message = str(error)
-    if not isinstance(error, BumpymapError):
-        full = refused_write(error)
-        message = f"{type(error).__name__}: {error}" + (f" ({full})" if full else "")
-    if what := missing_resource(error):
-        return f"the machine has no {what} left for this: give fewer `jobs` or less `memory`. {message}"
-    return message
 
 
 def _failed(task: MapTask, message: str, seconds: float) -> SurveyRow:

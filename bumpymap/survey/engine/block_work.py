@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import GROUND_SOURCE, Ground, OutputError, PatchStack, UsageError, photo_column, write_remedy
 from bumpymap.patches import join_stacks
-from bumpymap.readers import LineSums, tile_marks
+from bumpymap.readers import LineSums
 from bumpymap.survey.engine.budget import Budget, Workspace
 from bumpymap.survey.engine.surroundings import OpenBlocks, Surroundings, join_columns
 from bumpytiles import (
@@ -190,22 +190,6 @@ class BlockWork:
                 "`threads`, or thin the survey"
             )
         return buckets.block(key)
-
-    def finish_early(
-        self,
-        buckets: TileBuckets,
-        keys: Sequence[BlockKey],
-        threads: int,
-        sinks: Mapping[str, TileSink],
-        around: Surroundings | None,
-    ) -> None:
-        """Rate blocks for each of ``kinds`` and mark their tiles, so that one kind can be chosen later."""
-        for key, columns in self.finish(buckets, keys, threads, tuple(sinks), around):
-            marks = tile_marks(buckets.flags(key))
-            for kind, sink in sinks.items():
-                sink.add(key, columns[kind], marks)
-        for sink in sinks.values():
-            sink.flush()
 
 
 def finished_tiles(work: BlockWork, space: Workspace, kind: str, *more: str) -> TileTable:

@@ -268,7 +268,14 @@ class ClusterExecutor:
             (folder / ALIVE).write_text(self._context.run_id, encoding="utf-8")
         with _worker_errors(_REMEDY):
             try:
-                self._check_workers()
+                answers = self._workers.each(missing_on_worker, self._context, self._versions, self._versions())
+                for address, answer in answers.items():
+                    if isinstance(answer, BaseException):
+                        raise UsageError(
+                            f"the worker {address} cannot run this: {answer}. Install the same bumpymap on every worker"
+                        )
+                    if answer is not None:
+                        raise UsageError(f"{answer} (worker {address})")
                 yield
             finally:
                 for folder in folders:
@@ -288,7 +295,7 @@ class ClusterExecutor:
         def source(part: ChunkRange) -> FileSource:
             path = plan.readers[part.file].info.path
             known = inputs[str(path)]
-            return path if isinstance(path, str) else path.absolute(), (known["size"], known["digest"])
+            return path.absolute(), (known["size"], known["digest"])
 
         tasks = ((self._context, [source(part) for part in task.ranges], task) for task in shared)
         with closing(self._workers.run(read_ranges, tasks)) as results:
@@ -311,17 +318,6 @@ class ClusterExecutor:
         with closing(self._workers.run(function, tasks)) as results:
             for _, result in results:
                 yield result
-
-    def _check_workers(self) -> None:
-        """Raise UsageError if a worker lacks something that the run needs."""
-        answers = self._workers.each(missing_on_worker, self._context, self._versions, self._versions())
-        for address, answer in answers.items():
-            if isinstance(answer, BaseException):
-                raise UsageError(
-                    f"the worker {address} cannot run this: {answer}. Install the same bumpymap on every worker"
-                )
-            if answer is not None:
-                raise UsageError(f"{answer} (worker {address})")
 
     def _wait_until_idle(self) -> None:
         """Wait until no worker is busy with the run: it must not write after the folders are removed."""

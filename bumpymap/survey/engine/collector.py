@@ -149,7 +149,7 @@ class ReadResult:
     """Blocks, as in ``packs``, whose points are only in the memory of this process: they cannot be resumed."""
     error: BadInputError | None = None
     """Why the file is bad."""
-    seen: Mapping[int, tuple[str, Version | None]] = field(default_factory=dict)
+    seen: Mapping[int, tuple[str, Version]] = field(default_factory=dict)
     """By file, the name of the machine that read the chunks, and the version there; without those of this process."""
 
     @classmethod
@@ -339,28 +339,24 @@ class ResultCollector:
             error = next((part.error for _, _, part in self._results[file] if part.error is not None), None)
             read = sum(stop - first for first, stop, _ in self._results[file])
             if error is None and read == self._chunks[file]:
+                stats, versions = PointStats(), dict[str, Version]()
                 try:
-                    self.stats[file] = self._merged_stats(file)
+                    for _, _, part in sorted(self._results[file], key=lambda part: part[0]):
+                        stats = stats.merge(part.stats.get(file, PointStats()))
+                        # Copies on several machines may differ in their modification time.
+                        host, version = part.seen.get(file, ("", {}))
+                        if versions.setdefault(host, version) != version:
+                            where = f"workers on {host} saw several versions of it"
+                            raise file_changed(self._readers[file].info.path, where)
+                    if self._chunks[file]:
+                        self._readers[file].verify(stats)
+                    self.stats[file] = stats
                 except BadInputError as found:
                     error = found
             if error is not None:
                 self._refuse(self._readers[file], error)
                 return False
         return True
-
-    def _merged_stats(self, file: int) -> PointStats:
-        stats = PointStats()
-        versions: dict[str, Version | None] = {}
-        for _, _, part in sorted(self._results[file], key=lambda part: part[0]):
-            stats = stats.merge(part.stats.get(file, PointStats()))
-            # Copies on several machines may differ in their modification time.
-            host, version = part.seen.get(file, ("", None))
-            if versions.setdefault(host, version) != version:
-                where = f"workers on {host} saw several versions of it"
-                raise file_changed(self._readers[file].info.path, where)
-        if self._chunks[file]:
-            self._readers[file].verify(stats)
-        return stats
 
     def _count(self, result: ReadResult) -> None:
         self.flagged |= result.flagged

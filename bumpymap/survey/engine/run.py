@@ -154,7 +154,9 @@ def _read(
             while collector.all_good and (result := next(results, None)) is not None:
                 collector.add(result)
         if collector.all_good:
-            inputs.sort_skipped()
+            for reader in readers:  # into the order of the files, as those that could not be opened are
+                if (why := inputs.skipped.pop(str(reader.info.path), None)) is not None:
+                    inputs.skipped[str(reader.info.path)] = why
             return collector
         space.forget_points(inputs.skipped)
 
@@ -170,7 +172,11 @@ def _measure(
     waiting = {(row, col) for row, col in collector.catalogue.keys().tolist()} - collector.finished
     tiles, with_ground, part = 1, int(collector.flagged), None
     if work.ground == "auto" and collector.flagged:
-        marks = _marks(collector, executor)
+        marks = collector.marks
+        groups = collector.catalogue.groups(collector.finished, single=executor.one_group)
+        with closing(executor.mark_tiles(groups)) as found_marks:
+            for own in found_marks:
+                marks |= own
         tiles, with_ground = (sum(int((own >= least).sum()) for own in marks.values()) for least in (BLANK, GROUND))
         part = UnclassifiedPart.find(marks, work.grid.tile_size)
     ground_only = decide_ground(work.ground, tiles, with_ground)
@@ -193,16 +199,6 @@ def _measure(
     if not decide_ground(work.ground, tiles - int(found.sum()), with_ground):
         return False, 0
     return True, _save_joined(part, found, ground, every, work, space) if found.any() else 0
-
-
-def _marks(collector: ResultCollector, executor: Executor) -> dict[BlockKey, NDArray[np.uint8]]:
-    """Return the marks of the tiles of all blocks, see `tile_marks`."""
-    marks = collector.marks
-    groups = collector.catalogue.groups(collector.finished, single=executor.one_group)
-    with closing(executor.mark_tiles(groups)) as found:
-        for own in found:
-            marks |= own
-    return marks
 
 
 def _finish(
@@ -342,7 +338,13 @@ class Worker:
 
     def _finish_early(self, keys: Sequence[BlockKey]) -> tuple[tuple[Path, ...], ...]:
         """Rate blocks for every kind, before it is known which points the run will use; return their packs by kind."""
-        self._work.finish_early(self._store, keys, self._threads, self._sinks, self._around)
+        finished = self._work.finish(self._store, keys, self._threads, tuple(self._sinks), self._around)
+        for key, columns in finished:
+            marks = tile_marks(self._store.flags(key))
+            for kind, sink in self._sinks.items():
+                sink.add(key, columns[kind], marks)
+        for sink in self._sinks.values():
+            sink.flush()
         return tuple(tuple(sink.new_packs()) for sink in self._sinks.values())
 
     def _unfinished_packs(self) -> tuple[tuple[Path, NDArray[np.int64]], ...]:

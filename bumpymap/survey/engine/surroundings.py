@@ -129,17 +129,13 @@ class OpenBlocks:
             measured = self._around.measure(asked)
             found.append({name: getattr(measured, name) for name in _NAMES})
         if key in self._keys and len(found) == 1:
-            self._hold(key, points, measured)
+            with self._lock:  # until it is rated; those that wait longest go if there is no room
+                self._measured[key] = points, measured
+                self._bytes += _POINT_BYTES * len(points.flag)
+                while self._bytes > self._around.most_bytes and len(self._measured) > 1:
+                    longest, _ = self._measured.pop(next(iter(self._measured)))
+                    self._bytes -= _POINT_BYTES * len(longest.flag)
         return join_columns(found)
-
-    def _hold(self, key: BlockKey, points: TilePoints, measured: PatchStack) -> None:
-        """Hold a measured block until it is rated; those that wait longest go if there is no room."""
-        with self._lock:
-            self._measured[key] = points, measured
-            self._bytes += _POINT_BYTES * len(points.flag)
-            while self._bytes > self._around.most_bytes and len(self._measured) > 1:
-                longest, _ = self._measured.pop(next(iter(self._measured)))
-                self._bytes -= _POINT_BYTES * len(longest.flag)
 
 
 def join_columns(parts: Sequence[Mapping[str, NDArray[Any]]]) -> Mapping[str, NDArray[Any]]:

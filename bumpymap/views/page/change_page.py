@@ -15,17 +15,13 @@ from bumpymap.core import (
     CLASS_NAMES,
     NORMAL_80,
     BadInputError,
-    Each,
     parse_json,
-    read_record,
     read_regular,
-    shape_fault,
     utf8_path,
 )
 from bumpymap.layers import (
     CHANGE_COLOURS,
     DIFFERENCE_RAMP,
-    PLACE_SHAPE,
     MapFile,
     open_layer,
     outline_of,
@@ -56,12 +52,11 @@ _STILL_SIDE = 700
 _MOST_PLACES = 200
 """Most places on the map and in the table, the largest."""
 _BANDS = ("changed", "d_height", "d_c_r", "least_volume")
-_AGAIN = "Compare the surveys again"
 
 
 def _read_grids(path: Path, record: Mapping[str, Any]) -> tuple[Spot, NDArray[np.uint8], tuple[ByteGrid, ...]]:
     """Return where the page shows change.tif, its kinds on the page's grid, and its values."""
-    with open_layer(path, remedy=_AGAIN) as file:
+    with open_layer(path) as file:
         spot = Spot.of(file, record, _SIDE)
         step = max(spot.step, math.ceil(math.sqrt(record["counts"]["compared"] / _COMPARED)))
         while True:
@@ -98,8 +93,6 @@ def _read(file: Any, step: int) -> list[NDArray[Any]]:
 
     Of several tiles it is the change, or the farthest value.
     """
-    if missing := [name for name in _BANDS if name not in file.descriptions]:
-        raise ValueError(f"change.tif has no band {missing[0]}")
     bands = [file.descriptions.index(name) + 1 for name in _BANDS]
     rank = np.zeros(256, np.uint8)
     rank[list(_RANK)] = np.arange(1, len(_RANK) + 1)
@@ -108,8 +101,6 @@ def _read(file: Any, step: int) -> list[NDArray[Any]]:
     for top in range(0, file.height, lines):
         code, *values = file.read(bands, window=((top, min(top + lines, file.height)), (0, file.width)))
         known = np.isfinite(code)
-        if not np.isin(code[known], range(len(CHANGE_KINDS))).all():
-            raise ValueError("unknown kinds of change in change.tif")
         ranks = rank[np.where(known, code, NOT_COMPARED).astype(np.uint8)]
         worst = _blocks(ranks, step, 0).max(axis=(1, 3))
         farthest = [_farthest(_blocks(np.where(known, one, np.nan), step, np.nan)) for one in values]
@@ -138,10 +129,7 @@ def _places(path: Path, record: Mapping[str, Any]) -> tuple[list[dict[str, Any]]
     and from south to north, m; ``where``, a point in it, in the coordinates of the file, and ``about``, its properties.
     """
     collection = parse_json(read_regular(path).decode())
-    features = collection["features"]
-    if len(features) != record["counts"]["regions"]:
-        raise ValueError("change.geojson and change.json are not of one comparison")
-    largest = sorted(features, key=lambda feature: (-int(feature["properties"]["tiles"]), int(feature["id"])))
+    largest = sorted(collection["features"], key=lambda one: (-int(one["properties"]["tiles"]), int(one["id"])))
     metres, places = map_metres(record), []
     for one in largest[:_MOST_PLACES]:
         corners, where = outline_of(one["geometry"])
@@ -162,30 +150,11 @@ def _still(kinds: NDArray[np.uint8], spot: Spot) -> str:
     return jpeg(colours[shown], 150_000)
 
 
-_MANIFEST = "change.json"
-_SHAPE = PLACE_SHAPE | {"counts": Each()}
-
-
-def is_comparison(folder: Path) -> bool:
-    """Return whether a folder holds what `bumpymap diff` wrote, and not the layers of a map."""
-    return (folder / _MANIFEST).is_file() and not (folder / "run.json").exists()
-
-
-def read_comparison(folder: Path) -> dict[str, Any]:
-    """Read change.json. Raises BadInputError if it is damaged."""
-    record = read_record(folder / _MANIFEST)
-    if record is None or record.get("format") != "bumpymap-change":
-        raise BadInputError(f"{folder / _MANIFEST} is not that of a comparison. Compare the surveys again")
-    if fault := shape_fault(record, _SHAPE):
-        raise BadInputError(f"{folder / _MANIFEST} is damaged: {fault}. Compare the surveys again")
-    return record
-
-
 def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> None:
     """Write the page of the changes in a folder.
 
     ``folder``: change.tif and change.geojson; ``record``: the content of change.json, which need not be there yet.
-    Raises BadInputError: a file cannot be read; OutputError: the page cannot be written.
+    Raises OutputError: the page cannot be written.
     """
     spot, kinds, grids = _read_grids(folder / "change.tif", record)
     places, degrees = _places(folder / "change.geojson", record)

@@ -87,43 +87,31 @@ def write_report(
     page: PageSettings | None = None,
     overwrite: bool = False,
 ) -> Path:
-    """Write the page of a map or of a comparison again.
+    """Write the page of a map again.
 
-    ``layers``: a folder that `bumpymap map` or `bumpymap diff` wrote; ``out``: the file; default is report.html in the
-    folder of the layers, which is replaced, since it can be made again; ``route``: a folder that `bumpymap route`
-    wrote: its ways are drawn; ``page``: header of the page of a map; what it does not give is as the map was made with;
-    ``overwrite``: replace ``out`` if it exists. Returns the file. Raises UsageError: ``out`` is not named like a page,
-    or a comparison is given with ``route``; BadInputError: the folder holds no complete layers, or they cannot be read,
-    or ``route`` holds no way; OutputError: the page cannot be written, or exists.
+    ``layers``: a folder that `bumpymap map` wrote; ``out``: the file; default is report.html in the folder of the
+    layers, which is replaced, since it can be made again; ``route``: a folder that `bumpymap route` wrote: its ways are
+    drawn; ``page``: header of the page; what it does not give is as the map was made with; ``overwrite``: replace
+    ``out`` if it exists. Returns the file. Raises UsageError: ``out`` is not named like a page; BadInputError: the
+    folder holds no complete layers, or they cannot be read, or ``route`` holds no way; OutputError: the page cannot be
+    written, or exists.
     """
-    from bumpymap.views.page.change_page import is_comparison, read_comparison, write_change_report
-
     folder = Path(layers)
     path = folder / REPORT_NAME if out is None else Path(out)
-    compared = is_comparison(folder)
-    if compared and route is not None:
-        raise UsageError("`route` is drawn on the page of a map; this folder holds a comparison of two surveys")
-    record = read_comparison(folder) if compared else read_manifest(folder)
+    record = read_manifest(folder)
     header = page_header(page or PageSettings())
     _check(path, replace=overwrite or out is None)
-    name, of_what, again = _COMPARISON if compared else _MAP
     try:
         with utf8_path(folder) as readable:
-            if compared:
-                require_written(folder, record, ("change.tif", "change.geojson"), name)
-                write_change_report(readable, record, path)
-            else:
-                require_written(folder, record, _READ)
-                ways = () if route is None else read_ways(Path(route), record)
-                record = {**record, "page": {**(record.get("page") or {}), **header}}
-                write_map_page(Site.read(readable, record, ways), path)
+            require_written(folder, record, _READ)
+            ways = () if route is None else read_ways(Path(route), record)
+            record = {**record, "page": {**(record.get("page") or {}), **header}}
+            write_map_page(Site.read(readable, record, ways), path)
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError, ProjError) as error:
-        raise BadInputError(f"{folder / name} is not that of {of_what} of this version: {error!r}. {again}") from error
+        raise BadInputError(
+            f"{folder / MANIFEST_NAME} is not that of a map of this version: {error!r}. Map the survey again"
+        ) from error
     return path
-
-
-_MAP = (MANIFEST_NAME, "a map", "Map the survey again")
-_COMPARISON = ("change.json", "a comparison", "Compare the surveys again")
 
 
 def _check(path: Path, *, replace: bool) -> None:

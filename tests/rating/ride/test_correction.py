@@ -69,7 +69,7 @@ def test_a_record_is_read_back_and_a_damaged_one_is_refused_with_what_to_do(name
     for change in DAMAGE[name]:
         with pytest.raises(BadInputError, match=f"{name}.* is damaged: .*bumpymap calibrate"):
             model.from_record(record | change)
-    with pytest.raises(BadInputError, match="9 coefficients of p_fail, not 10"):
+    with pytest.raises(BadInputError, match="9 coefficients of fail, not 10"):
         Correction.from_record(RECORD | {"fail": [0.1] * 9})
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bumpymap.core.config import FeatureSettings
-from bumpymap.core.types import NO_CLASS, Georeference, interval_log_sd
+from bumpymap.core.types import NO_CLASS, interval_log_sd
 from bumpymap.lab.simulate.ride_fit import survey_terrains
 from bumpymap.lab.terrains import make_terrain
 from bumpymap.patches.features import measure
@@ -18,7 +18,6 @@ from bumpymap.rating.textures import TextureModel, classify
 
 CALIBRATION = Calibration.shipped("warthog")
 MODEL = RideModel(CALIBRATION)
-PLACE = Georeference(None, 1.0, 1.0)
 
 
 def patches_of(*kinds, slope=5.0, density=200.0, index=3):
@@ -28,7 +27,7 @@ def patches_of(*kinds, slope=5.0, density=200.0, index=3):
 
 
 def rated(patches, model=MODEL):
-    return model.rate(patches, classify(patches, TextureModel.shipped()), PLACE)
+    return model.rate(patches, classify(patches, TextureModel.shipped()))
 
 
 def test_the_numbers_of_a_tile_agree_with_each_other():
@@ -49,7 +48,6 @@ def test_the_interval_holds_80_percent_of_single_drives_and_tells_how_far_off_th
     drive = np.exp(mean + DRIVE_LOG_SD * rng.standard_normal(40_000))
     assert np.mean((low < drive) & (drive < high)) == pytest.approx(0.8, abs=0.01)
     np.testing.assert_allclose(interval_log_sd(c_r, low, high, DRIVE_LOG_SD), [below, above], rtol=1e-6)
-    assert rated(patches_of("flat")).rule.drive_log_sd == DRIVE_LOG_SD
 
 
 def test_a_tile_steeper_than_the_vehicle_can_climb_is_class_3():

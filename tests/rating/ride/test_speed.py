@@ -7,8 +7,17 @@ import numpy as np
 import pytest
 
 from bumpymap.core import UsageError
-from bumpymap.rating import Calibration, RideOperator, at_speed, motion_felt, move_over, roll_over
-from bumpymap.rating.ride.speed import SpeedRating, map_rule, plain_factors, plain_speed_factor
+from bumpymap.rating import (
+    Calibration,
+    MotionOperator,
+    RideOperator,
+    at_speed,
+    motion_factors,
+    motion_felt,
+    move_over,
+    roll_over,
+)
+from bumpymap.rating.ride.speed import map_rule, plain_factors, plain_speed_factor
 from bumpymap.rating.steps import StepEffect, apply_steps
 from bumpymap.rating.vehicle_body import less_floor
 
@@ -24,12 +33,15 @@ def heights():
 
 @cache
 def rating_at(speed):
-    return SpeedRating.of(at_speed(WARTHOG, speed), SPEEDS)
+    calibration = at_speed(WARTHOG, speed)
+    every = tuple(dict.fromkeys((*SPEEDS, calibration.map_speed)))
+    return calibration, MotionOperator.of(WARTHOG.profile, 3.0, 15, every)
 
 
 def factors_at(speed, heights):
-    rating = rating_at(speed)
-    return rating.factors_of(move_over(heights, rating.operator), pitch_of(heights))
+    calibration, operator = rating_at(speed)
+    own, factors = motion_factors(calibration, operator.speeds, move_over(heights, operator), pitch_of(heights))
+    return own, factors[:, : 2 * len(SPEEDS)]
 
 
 def pitch_of(heights):
