@@ -51,6 +51,7 @@ from .ride.operator import (
     wheel_turn as wheel_turn,
 )
 from .ride.rate import (
+    DRIVE_LOG_SD as DRIVE_LOG_SD,
     RideModel as RideModel,
     denoise as denoise,
 )

@@ -22,7 +22,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers import check_folder, is_complete
 from bumpymap.patches import close_filter, relief_margin, require_filter
-from bumpymap.rating import map_rule
+from bumpymap.rating import DRIVE_LOG_SD, map_rule
 from bumpymap.readers import project_photo
 from bumpymap.survey.engine import (
     BlockWork,
@@ -118,9 +118,10 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
         return_memory()  # of the points
         with clock.stage("neighbours"), engine_errors(budget):
             tiles = finish_tiles(measured.table, neighbours, space.new_tiles, config.threads, progress)
+        rule = map_rule(models.calibration)
         table = CostTable(
             inputs.georeference,
-            map_rule(models.calibration),
+            replace(rule, drive_log_sd=DRIVE_LOG_SD) if config.by_ride else rule,
             tiles,
             has_photo=measured.coloured >= _COLOURED * measured.points,
             orthophoto=inputs.photo,

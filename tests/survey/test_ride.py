@@ -12,13 +12,13 @@ import pyarrow.parquet as pq
 import pytest
 import rasterio
 from scipy.ndimage import label, map_coordinates
-from small_surveys import files_in, killed_at, layers_of, run, write_las
+from small_surveys import files_in, killed_at, layers_of, run, write_las, write_survey
 
 import bumpymap
 from bumpymap.core import INCLUDED_PIXELS, MapConfig, UsageError, with_pixels
 from bumpymap.lab.terrains import fractal
 from bumpymap.layers import open_map
-from bumpymap.rating import Calibration, RideModel
+from bumpymap.rating import DRIVE_LOG_SD, Calibration, RideModel
 from bumpymap.rating.calibration import shipped_calibrations
 from bumpymap.survey.tile_rating import RatingModels
 
@@ -325,6 +325,12 @@ def test_no_border_is_drawn_where_the_density_changes(tmp_path, rms, noise, with
 
 def loaded(folder, **settings):
     return RatingModels.load(MapConfig((Path("a.laz"),), folder, **settings))
+
+
+@pytest.mark.parametrize(("rating", "scatter"), [("ride", DRIVE_LOG_SD), ("table", 0.0)])
+def test_a_map_says_by_how_much_drives_scatter_where_its_intervals_hold_it(tmp_path, rating, scatter):
+    record, _ = mapped([write_survey(tmp_path / "site.las")], tmp_path / "out", "--set", f"rating={rating}")
+    assert record["cost"]["drive_log_sd"] == scatter
 
 
 def test_what_tiles_of_another_size_need(tmp_path):
