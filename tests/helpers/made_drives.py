@@ -97,6 +97,6 @@ def write_table(path: Path, log: DriveLog, corner: tuple[float, float]) -> Path:
 
 
 def write_drive(path: Path) -> Path:
-    """Write the log of a drive of 40 m straight over the sample survey."""
-    log, _, _ = log_of(MadeDrive(seconds=60.0, turning=0.0))
+    """Write the log of a drive of 24 m straight over the sample survey."""
+    log, _, _ = log_of(MadeDrive(seconds=42.0, turning=0.0))
     return write_table(path, log, (512350.0, 5403260.0))
