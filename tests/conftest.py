@@ -86,6 +86,15 @@ def without_views():
         yield
 
 
+@pytest.fixture
+def batches_here():
+    """Batches of a test map their surveys in its process."""
+    from small_surveys import batches_here
+
+    with batches_here():
+        yield
+
+
 def measure_points(x, y, z, flag=None, *, grid=None, settings=None, ground_only=False):
     """PatchStack of loose points."""
     from patch_stacks import joined_in_order

@@ -356,6 +356,7 @@ def test_a_check_takes_layers_and_one_drive_or_several(layers, tmp_path):
         "bumpymap.scan.classifier",
     ],
 )
+@pytest.mark.usefixtures("batches_here")
 def test_the_examples_of_the_docstrings_run(module, layers, tmp_path, monkeypatch):
     shutil.copytree(layers.folder, tmp_path / "site_layers")
     (tmp_path / "sample_data").symlink_to(ROOT / "sample_data")
