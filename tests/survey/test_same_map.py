@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("without_views")]
 
 CORNER = np.array([500_013.0, 4_000_020.0, 300.0])
 """Not a corner of a block, so that files and blocks overlap anyhow."""
-SPAN = (130.0, 70.0)
+SPAN = (110.0, 56.0)
 """Some three by two blocks of 48 m."""
 OF_THE_CALL = {"surveys", "out", "scratch"}
 
@@ -26,7 +26,7 @@ OF_THE_CALL = {"surveys", "out", "scratch"}
 def points():
     """Rough ground under bushes, on a grid of 1 mm, with points that occur twice; x, y, z, class."""
     rng = np.random.default_rng(0)
-    n = 40_000
+    n = 28_000
     x, y = rng.uniform(0, SPAN[0], n), rng.uniform(0, SPAN[1], n)
     bush = rng.random(n) < 0.3
     z = 0.1 * x + 0.8 * np.sin(5 * x) * (x > 60) + 0.01 * rng.normal(size=n) + bush * rng.uniform(0, 2, n)
