@@ -207,6 +207,7 @@ for number in range(2):
 """
 
 
+@pytest.mark.later
 @pytest.mark.skipif(not OPEN_FILES.is_dir(), reason="open files are counted in /proc, which is Linux's")
 def test_a_loop_over_maps_leaves_no_file_open_and_no_memory(tmp_path):
     survey = write_survey(tmp_path / "small.las", points=5_000, side=12.0)
