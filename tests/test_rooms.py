@@ -22,10 +22,7 @@ ROOMS = {
     "rating": ({"core"}, {"numpy", "scipy"}),
     "layers": (
         {"core"},
-        {
-            *("laspy", "lazrs", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"),
-            *("skimage", "xarray"),
-        },
+        {*("laspy", "lazrs", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"), *("skimage", "xarray")},
     ),
     "views": ({"core", "layers"}, {"PIL", "jinja2", "numpy", "open3d", "pyproj", "rosbags", "scipy", "shapely"}),
     "survey": ({"core", "readers", "patches", "rating", "layers", "views"}, {"numpy"}),
@@ -36,10 +33,7 @@ ROOMS = {
     "route": ({"core", "rating", "layers", "views"}, {"numpy", "scipy", "skimage"}),
     "change": ({"core", "layers", "views"}, {"numpy", "scipy"}),
     "check": ({"core", "rating", "readers", "layers", "route", "views"}, {"numpy", "pyproj", "scipy"}),
-    "lab": (
-        {"core", "readers", "patches", "rating", "scan"},
-        {"dartpy", "numpy", "onnx", "scipy", "sklearn", "torch"},
-    ),
+    "lab": ({"core", "readers", "patches", "rating", "scan"}, {"dartpy", "numpy", "onnx", "scipy", "sklearn", "torch"}),
     "cli": (
         {"core", "readers", "rating", "layers", "views", "survey", "scan", "route", "change", "check", "lab"},
         {"click", "rich"},

@@ -323,12 +323,7 @@ def test_a_post_of_that_width_is_found_in_95_percent_and_a_narrower_one_is_not(d
 
 @pytest.mark.parametrize(
     ("density", "noise", "closing"),
-    [
-        (20, 0.01, np.inf),
-        (100, 0.03, np.inf),
-        pytest.param(400, 0.01, 0.28, marks=pytest.mark.later),
-        (10, 0.03, 0.28),
-    ],
+    [(20, 0.01, np.inf), (100, 0.03, np.inf), pytest.param(400, 0.01, 0.28, marks=pytest.mark.later), (10, 0.03, 0.28)],
 )
 def test_a_step_of_that_height_is_found_and_a_lower_one_is_not(density, noise, closing):
     rng = np.random.default_rng(density)

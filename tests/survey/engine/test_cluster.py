@@ -149,11 +149,7 @@ def here(monkeypatch, limit_points):
 
 @pytest.mark.parametrize(
     ("ground", "least", "tasks"),
-    [
-        ("auto", 10_000, ALL_RANGES),
-        ("all", TWO_TASKS, 2),
-        pytest.param("auto", 10**7, 1, marks=pytest.mark.later),
-    ],
+    [("auto", 10_000, ALL_RANGES), ("all", TWO_TASKS, 2), pytest.param("auto", 10**7, 1, marks=pytest.mark.later)],
 )
 def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
     surveys, plain, tmp_path, here, ground, least, tasks, monkeypatch
