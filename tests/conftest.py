@@ -17,6 +17,9 @@ from bumpytiles import Grid, TileBuckets
 settings.register_profile("bumpymap", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("bumpymap")
 
+# Workers of pytest-xdist, which share the cores, inherit it: threads of OpenBLAS that have nothing to do wait busily.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # A suite that runs in the background (`make test &`, nohup) ignores Ctrl-C, and so would every command that it starts.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -66,6 +69,14 @@ def pytest_runtest_setup(item):
             pytest.skip(reason)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def fast_disk():
+    """No file of a test is to outlive a power cut, so none is waited for until it is on the disk."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda _: None)
+        yield
+
+
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
 
@@ -83,6 +94,15 @@ def without_views():
     from small_surveys import no_views
 
     with no_views():
+        yield
+
+
+@pytest.fixture
+def batches_here():
+    """Batches of a test map their surveys in its process."""
+    from small_surveys import batches_here
+
+    with batches_here():
         yield
 
 

@@ -129,18 +129,18 @@ def test_a_vehicle_that_is_no_file_leads_to_the_included_calibrations():
 @pytest.mark.parametrize(
     ("before", "settings", "said"),
     [
-        ("complete", {"ground": "all"}, "overwrite=True"),
-        ("other", {}, "overwrite=True"),
-        ("file", {}, ""),
+        ("complete", {"local": True, "ground": "all"}, "overwrite=True"),
+        ("other", {"local": True}, "overwrite=True"),
+        ("file", {"local": True}, ""),
         ("", {}, "local=True"),  # no CRS
         ("", {"local": True, "ground": "class"}, "ground='all'"),
         ("", {"local": True, "ground": "class", "memory": "nothing"}, ""),
     ],
 )
 def test_what_inputs_and_folders_cause_says_what_to_pass(before, settings, said, tmp_path):
-    out, survey = tmp_path / "out", QUARRY if before else write_ply(tmp_path / "site.ply", GROUND)
+    out, survey = tmp_path / "out", write_ply(tmp_path / "site.ply", GROUND)
     if before == "complete":
-        bumpymap.map_survey(survey, out)
+        bumpymap.map_survey(survey, out, local=True)
     elif before == "other":
         (out / "rasters").mkdir(parents=True)
         (out / "rasters/class.tif").touch()

@@ -83,7 +83,7 @@ def _refuse_executable_memory():
         os._exit(77)
 
 
-@pytest.mark.slow
+@pytest.mark.later
 def test_no_command_makes_memory_executable(tmp_path):
     """As under systemd's MemoryDenyWriteExecute."""
     probe = [sys.executable, "-c", "pass"]

@@ -22,10 +22,7 @@ ROOMS = {
     "rating": ({"core"}, {"numpy", "scipy"}),
     "layers": (
         {"core"},
-        {
-            *("laspy", "lazrs", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"),
-            *("skimage", "xarray"),
-        },
+        {*("laspy", "lazrs", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely"), *("skimage", "xarray")},
     ),
     "views": ({"core", "layers"}, {"PIL", "jinja2", "numpy", "open3d", "pyproj", "rosbags", "scipy", "shapely"}),
     "survey": ({"core", "readers", "patches", "rating", "layers", "views"}, {"numpy"}),
@@ -36,10 +33,7 @@ ROOMS = {
     "route": ({"core", "rating", "layers", "views"}, {"numpy", "scipy", "skimage"}),
     "change": ({"core", "layers", "views"}, {"numpy", "scipy"}),
     "check": ({"core", "rating", "readers", "layers", "route", "views"}, {"numpy", "pyproj", "scipy"}),
-    "lab": (
-        {"core", "readers", "patches", "rating", "scan"},
-        {"dartpy", "numpy", "onnx", "scipy", "sklearn", "torch"},
-    ),
+    "lab": ({"core", "readers", "patches", "rating", "scan"}, {"dartpy", "numpy", "onnx", "scipy", "sklearn", "torch"}),
     "cli": (
         {"core", "readers", "rating", "layers", "views", "survey", "scan", "route", "change", "check", "lab"},
         {"click", "rich"},
@@ -73,17 +67,24 @@ SOURCES = {
     **{path: path.relative_to(ROOT / "tiles") for path in (ROOT / "tiles" / "bumpytiles").rglob("*.py")},
 }
 MODULES = {".".join(short.with_suffix("").parts).removesuffix(".__init__"): path for path, short in SOURCES.items()}
-TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES}
 
 
+@cache
+def tree_of(file):
+    return ast.parse(file.read_text(encoding="utf-8"))
+
+
+@cache
 def imported(file):
     """(module, name) pairs that a file imports, anywhere in it; name None for ``import module``."""
-    for node in ast.walk(TREES.get(file) or ast.parse(file.read_text(encoding="utf-8"))):
+    found = []
+    for node in ast.walk(tree_of(file)):
         if isinstance(node, ast.Import):
-            yield from ((alias.name, None) for alias in node.names)
+            found += [(alias.name, None) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{file}: relative import"
-            yield from ((node.module, alias.name) for alias in node.names)
+            found += [(node.module, alias.name) for alias in node.names]
+    return found
 
 
 def room_of(module):
@@ -198,9 +199,9 @@ def test_one_file_imports_a_package_that_needs_care(package):
 
 
 def test_json_of_others_is_parsed_to_a_bounded_depth():
-    for file, tree in TREES.items():
-        if SOURCES[file].parts[0] == "bumpymap" and SOURCES[file] != Path("bumpymap/core/files.py"):
-            calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    for file, short in SOURCES.items():
+        if short.parts[0] == "bumpymap" and short != Path("bumpymap/core/files.py"):
+            calls = [node for node in ast.walk(tree_of(file)) if isinstance(node, ast.Call)]
             own = [node for node in calls if ast.unparse(node.func) in {"json.loads", "json.load"}]
             foreign = [node for node in own if not ast.unparse(node.args[0]).startswith("json.dumps")]
             assert not foreign, f"{file}: use parse_json"
@@ -208,8 +209,8 @@ def test_json_of_others_is_parsed_to_a_bounded_depth():
 
 def test_a_class_name_is_used_once():
     places = defaultdict(set)
-    for file, tree in TREES.items():
-        for node in ast.walk(tree):
+    for file in SOURCES:
+        for node in ast.walk(tree_of(file)):
             if isinstance(node, ast.ClassDef):
                 places[node.name].add(str(file.relative_to(ROOT)))
     assert not {name: found for name, found in places.items() if len(found) > 1}
@@ -229,7 +230,7 @@ def docstrings(tree):
 
 def test_docstrings_say_what_a_thing_is():
     """They begin with a noun or a verb, not with What, Which or Whether."""
-    texts = [text for room in ROOMS for file in files_of(room) for text in docstrings(TREES[file])]
+    texts = [text for room in ROOMS for file in files_of(room) for text in docstrings(tree_of(file))]
     assert texts
     assert not [text for text in texts if re.match(r"(What|Which|Whether)\b", text)]
     sources = [path for part in ("bumpymap", "tiles") for path in (ROOT / part).rglob("*.[ch]pp")]
@@ -284,9 +285,9 @@ def _is_number(value):
 def test_numbers_have_words():
     """Under a number at module level, or a tuple of them, stands what it is; else behind it on its line."""
     bare = []
-    for path, tree in TREES.items():
-        lines = path.read_text(encoding="utf-8").splitlines()
-        for node, after in zip(tree.body, [*tree.body[1:], None], strict=True):
+    for path in SOURCES:
+        lines, body = path.read_text(encoding="utf-8").splitlines(), tree_of(path).body
+        for node, after in zip(body, [*body[1:], None], strict=True):
             if not (isinstance(node, ast.Assign | ast.AnnAssign) and node.value and _is_number(node.value)):
                 continue
             target = node.target if isinstance(node, ast.AnnAssign) else node.targets[0]
@@ -298,8 +299,8 @@ def test_numbers_have_words():
 
 def test_no_function_takes_more_than_eight_parameters():
     longer = {}
-    for file, tree in TREES.items():
-        for node in ast.walk(tree):
+    for file in SOURCES:
+        for node in ast.walk(tree_of(file)):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 arguments = node.args
                 count = len(arguments.posonlyargs + arguments.args + arguments.kwonlyargs)

@@ -91,7 +91,9 @@ def test_the_clock_is_found_within_its_stated_error_by_starts_and_stops(offset, 
 
 
 def test_noise_of_positions_does_not_lengthen_the_way():
-    log, _, way = made_drives.log_of(made_drives.MadeDrive(noise=0.01, place_white=0.25, place_wander=1.5, seed=5))
+    log, _, way = made_drives.log_of(
+        made_drives.MadeDrive(noise=0.01, place_white=0.25, place_wander=1.5, seed=5, seconds=90.0)
+    )
     found, cut = measured(log)
     assert np.abs(found.speed).sum() / found.hertz == pytest.approx(way[-1], rel=0.06)
     assert 0.5 < found.track.scatter.wander_m < 4.0
@@ -150,7 +152,9 @@ def test_a_log_that_cannot_be_measured_is_refused(good, damage, told):
 def test_a_short_way_tells_no_offset_of_the_clocks_and_rough_positions_none_or_its_error():
     log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=32.0, offset=0.3, noise=0.01, place_white=0.015))
     assert np.isnan(measured(log)[0].clock_offset_s)
-    made = made_drives.MadeDrive(offset=0.31, noise=0.01, place_white=0.25, place_wander=1.5, turning=0.3, seed=3)
+    made = made_drives.MadeDrive(
+        offset=0.31, noise=0.01, place_white=0.25, place_wander=1.5, turning=0.3, seed=3, seconds=80.0
+    )
     found, _ = measured(made_drives.log_of(made)[0])
     assert not abs(found.clock_offset_s - made.offset) > 3.0 * found.clock_offset_sd_s
 
@@ -215,7 +219,7 @@ SITE = bare_map(TileWindow(0, 0, 100, 100), crs=None)
 def test_drives_are_measured_without_a_map_and_those_that_cannot_be_used_are_named(tmp_path):
     """One of them is no file of a drive, and one is refused when it is measured."""
     good, bad, parked = (str(tmp_path / f"{name}.csv") for name in ("good", "bad", "parked"))
-    log, *_ = made_drives.log_of(made_drives.MadeDrive(seconds=45.0, noise=0.01, place_white=0.015))
+    log, *_ = made_drives.log_of(made_drives.MadeDrive(seconds=36.0, noise=0.01, place_white=0.015))
     made_drives.write_table(tmp_path / "good.csv", log, (0.0, 0.0))
     (tmp_path / "bad.csv").write_text("hello")
     made_drives.write_table(tmp_path / "parked.csv", placed("projected", still=True), (0.0, 0.0))
@@ -258,7 +262,8 @@ def test_with_no_usable_drive_there_is_no_check(tmp_path):
 
 
 def placed(kind: str, shift: float = 0.0, *, still: bool = False):
-    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=40.0, speed=0.0 if still else 1.0))
+    made = {"seconds": 20.0, "speed": 0.0} if still else {"seconds": 40.0}
+    log, _, _ = made_drives.log_of(made_drives.MadeDrive(**made))
     track = log.places
     return replace(log, places=PlaceTrack(track.time, track.x + 50 + shift, track.y + 50, track.error, kind))
 

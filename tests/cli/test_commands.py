@@ -154,10 +154,11 @@ def test_what_is_refused_is_one_message_in_options_and_leaves_nothing(code, line
 
 # --- diff, report ---
 def test_diff_writes_files_and_replaces_them_if_asked(tmp_path):
-    run("diff", "may", "june", "--out", tmp_path / "out", code=0)
+    words = "diff", "may", "june", "--out", tmp_path / "out", "--set", "register=false"
+    run(*words, code=0)
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {"change.tif", "change.json", "report.html"}
-    run("diff", "may", "june", "--out", tmp_path / "out", code=3)
-    assert run("diff", "may", "june", "--out", tmp_path / "out", "--overwrite", "--quiet").output == ""
+    run(*words, code=3)
+    assert run(*words, "--overwrite", "--quiet").output == ""
 
 
 def test_the_record_of_a_diff_for_machines():

@@ -405,7 +405,10 @@ KEPT = "No file is half-written. The driven patches are kept: give the same comm
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "code", "word"), [("SIGTERM", 143, "Terminated."), ("SIGINT", 130, "Interrupted.")])
+@pytest.mark.parametrize(
+    ("name", "code", "word"),
+    [("SIGTERM", 143, "Terminated."), pytest.param("SIGINT", 130, "Interrupted.", marks=pytest.mark.later)],
+)
 @pytest.mark.parametrize("send", [pytest.param("kill", marks=pytest.mark.later), "killpg"])
 def test_a_signal_ends_the_workers_too_and_keeps_what_was_driven(tmp_path, name, code, word, send):
     (tmp_path / "slow.py").write_text(SLOW)

@@ -87,9 +87,10 @@ def log_of(made: MadeDrive) -> tuple[DriveLog, np.ndarray, np.ndarray]:
 
 
 def write_table(path: Path, log: DriveLog, corner: tuple[float, float]) -> Path:
-    """Write a log as one CSV file, its way from a corner (easting, northing) [m] on."""
+    """Write a log as one CSV file, its way from a corner (easting, northing) [m] on; rows repeat the last place."""
     imu, places = log.imu, log.places
-    at = [np.interp(imu.time, places.time, (places.x, places.y)[axis]) + corner[axis] for axis in (0, 1)]
+    last = np.maximum(np.searchsorted(places.time, imu.time + 1e-6) - 1, 0)
+    at = [(places.x, places.y)[axis][last] + corner[axis] for axis in (0, 1)]
     head = "time [s],gyro_x [rad/s],gyro_y [rad/s],gyro_z [rad/s],acc_x [m/s2],acc_y [m/s2],acc_z [m/s2]"
     table = np.column_stack([imu.time, imu.rate, imu.acceleration, *at])
     np.savetxt(path, table, delimiter=",", header=f"{head},easting [m],northing [m]", comments="")
@@ -97,6 +98,6 @@ def write_table(path: Path, log: DriveLog, corner: tuple[float, float]) -> Path:
 
 
 def write_drive(path: Path) -> Path:
-    """Write the log of a drive of 40 m straight over the sample survey."""
-    log, _, _ = log_of(MadeDrive(seconds=60.0, turning=0.0))
+    """Write the log of a drive of 24 m straight over the sample survey."""
+    log, _, _ = log_of(MadeDrive(seconds=42.0, turning=0.0))
     return write_table(path, log, (512350.0, 5403260.0))

@@ -108,6 +108,21 @@ def no_views():
         yield
 
 
+@contextmanager
+def batches_here():
+    """Batches meanwhile map their surveys in this process, one after the other."""
+    from bumpymap.core.run_folder import lock_for
+    from bumpymap.survey.batch.run import map_one
+
+    def here(_, __, ___, tasks, ____):
+        yield from ((number, 0.0, map_one(*task)) for number, task in enumerate(tasks))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bumpymap.survey.batch.run.call_in_children", here)
+        yield
+    lock_for({})
+
+
 ALIKE = {"name": "survey", "checksum": "blake3:0", "dates": None}
 
 

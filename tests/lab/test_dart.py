@@ -62,7 +62,7 @@ def test_a_tyre_spans_a_slot_that_is_narrower():
     slots = SimpleNamespace(extent=1.0, spacing=0.05, gradient=(0.0, 0.0), height=height)
     vehicle = DartVehicle(WARTHOG, slots, Strip(0.0, 0.0, 0.0, 1.0, 2.0), Physics())
     vehicle.command(0.0, 0.0)
-    vehicle.advance(1000)
+    vehicle.advance(400)
     standing = WARTHOG.wheel.radius_m + WARTHOG.chassis.com_height_m
     assert vehicle.chassis.getWorldTransform().matrix()[2, 3] == pytest.approx(standing, abs=0.009)
 
@@ -88,11 +88,10 @@ def test_slope_that_friction_cannot_hold_is_not_climbed():
     assert math.isnan(made.c_r)
 
 
-@pytest.mark.parametrize(("wavelength", "heading"), [(2.5, math.pi), (5.0, 0.0)])
+@pytest.mark.parametrize(("wavelength", "heading"), [pytest.param(2.5, math.pi, marks=pytest.mark.later), (5.0, 0.0)])
 def test_sine_meets_its_closed_form_both_ways(wavelength, heading):
     """Axles W apart pitch by a sine of amplitude ``2 A sin(pi W / L) / W``; a wave adds four times that."""
-    settings = DriveSettings(measure_s=5.0)
-    made = drive_from(WARTHOG, wave_ground(0.02, wavelength), Start(0.0, 0.0, heading), settings)
+    made = drive_from(WARTHOG, wave_ground(0.02, wavelength), Start(0.0, 0.0, heading), DriveSettings(measure_s=2.5))
     wanted = 8 * 0.02 * math.sin(math.pi * BASE / wavelength) / (BASE * wavelength)
     assert made.c_r == pytest.approx(wanted, rel=0.05)
 
@@ -121,9 +120,11 @@ def test_half_the_time_step_changes_little():
     assert known[1] == pytest.approx(known[0], rel=0.03)
 
 
-@pytest.mark.parametrize(("speed", "wavelength"), [pytest.param(1.0, 0.92, marks=pytest.mark.later), (2.0, 3.0)])
-def test_waves_lift_as_the_closed_form_says(speed, wavelength):
-    ground = wave_ground(HEIGHT_M, wavelength, facets=round(wavelength / 0.04))
+@pytest.mark.parametrize(
+    ("speed", "wavelength", "facets"), [pytest.param(1.0, 0.92, 23, marks=pytest.mark.later), (2.0, 3.0, 50)]
+)
+def test_waves_lift_as_the_closed_form_says(speed, wavelength, facets):
+    ground = wave_ground(HEIGHT_M, wavelength, facets=facets)
     _, a_w = drive_motion(WARTHOG, ground, Start(0.0, 0.0, 0.0), speed, LONG)
     lift = HEIGHT_M * math.cos(math.pi * BASE / wavelength) * felt_response(np.array([speed / wavelength]))[0]
     assert a_w == pytest.approx(abs(lift) / math.sqrt(2), rel=0.05)
@@ -132,7 +133,7 @@ def test_waves_lift_as_the_closed_form_says(speed, wavelength):
 def test_waves_at_an_angle_pitch_as_the_closed_form_says():
     turn, wavelength = math.radians(40.0), 3.0
     along, across = math.cos(turn) / wavelength, math.sin(turn) / wavelength
-    ground = wave_ground(HEIGHT_M, wavelength, facets=150)
+    ground = wave_ground(HEIGHT_M, wavelength, facets=75)
     c_r, _ = drive_motion(WARTHOG, ground, Start(0.0, 0.0, turn), 2.0, LONG)
     pitch = math.sin(math.pi * BASE * along) * math.cos(math.pi * TRACK * across) / BASE
     # A tyre stands on its edge where the ground falls to the side.

@@ -28,6 +28,7 @@ def rows_of(text, first):
     return [cells[1:] for cells in lines if cells[0] == first]
 
 
+@pytest.mark.later
 def test_tables_are_those_of_the_rules_and_the_papers_stand_beside_them(tmp_path, monkeypatch, capsys):
     write_bin(tmp_path / "0.bin", churned_field(1))
     monkeypatch.syspath_prepend(ROOT / "tests" / "tools")

@@ -279,7 +279,7 @@ def serve():
             return False
 
     with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
+        threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
         yield f"http://127.0.0.1:{server.server_port}", asked
         server.shutdown()
 
@@ -313,7 +313,7 @@ def relief(folder, _):
 
 
 def check(folder, out):
-    log = log_of(MadeDrive(seconds=60.0, noise=0.01))[0]
+    log = log_of(MadeDrive(seconds=36.0, noise=0.01))[0]
     check_drives(folder, write_table(out / "drive.csv", log, (330_005.0, 2_040_012.0)))
 
 

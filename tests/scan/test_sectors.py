@@ -381,12 +381,10 @@ def seen(height_at, sensor_m=1.2, lines=64, seed=0):
     """Points of a sensor of 64 lines over ground of that height; where it is NaN, there is none."""
     rng = np.random.default_rng(seed)
     down = np.radians(np.linspace(-25.0, -1.0, lines))[:, None]
-    turn = np.linspace(-math.pi, math.pi, 720, endpoint=False)[None, :]
-    away = np.full((lines, 720), np.nan)
-    for r in np.arange(0.6, 45.0, 0.02):  # the first place where a beam is below the ground
-        x, y = np.broadcast_arrays(r * np.cos(turn), r * np.sin(turn))
-        below = sensor_m + r * np.tan(down) <= height_at(x, y)
-        away = np.where(np.isnan(away) & below, r, away)
+    turn, r = np.linspace(-math.pi, math.pi, 720, endpoint=False), np.arange(0.6, 45.0, 0.02)
+    ground = np.broadcast_to(height_at(r * np.cos(turn)[:, None], r * np.sin(turn)[:, None]), (720, len(r)))
+    below = (beam <= ground for beam in sensor_m + r * np.tan(down))  # the first place counts
+    away = np.array([np.where(each.any(axis=1), r[each.argmax(axis=1)], np.nan) for each in below])
     away += 0.01 * rng.standard_normal(away.shape)
     points = np.stack([away * np.cos(turn), away * np.sin(turn), away * np.tan(down)], axis=-1)
     return points.reshape(-1, 3)[np.isfinite(away).ravel()].astype(np.float32)

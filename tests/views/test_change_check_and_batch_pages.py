@@ -92,7 +92,7 @@ def test_values_of_the_page_are_those_of_the_raster_within_its_rounding(comparis
 
 
 def test_nothing_found_and_nothing_compared_are_not_the_same(may, tmp_path):
-    same = bumpymap.diff_surveys(may, may, tmp_path / "same")
+    same = bumpymap.diff_surveys(may, may, tmp_path / "same", register=False)
     assert "No change was found on the 1.08 ha that were compared" in ReadPage(same.folder / "report.html").text
     folder = shutil.copytree(same.folder, tmp_path / "none")
     record = json.loads((folder / "change.json").read_text())
@@ -107,7 +107,7 @@ def test_changes_lie_over_the_photo_of_a_survey_or_its_relief_if_the_map_is_the_
     colours = np.stack([6 * col, 8 * row, 9 * (col % 2)])
     plant_photo(folder, colours.repeat(15, axis=1).repeat(15, axis=2))
     later = write_folder(tmp_path / "june", survey(3, rut=0.1, tiles=col > 4))
-    out = bumpymap.diff_surveys(folder, later, tmp_path / "out").folder
+    out = bumpymap.diff_surveys(folder, later, tmp_path / "out", register=False).folder
 
     def below():
         (key,) = {"photo", "relief"} & set(about := page_again(out).data["maps"][0])
@@ -148,7 +148,7 @@ def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, tmp_path, monk
 def test_without_a_crs(tmp_path):
     local = {"georeference": Georeference(None)}
     sides = [write_folder(tmp_path / str(seed), survey(seed, rut=0.1 * (seed - 1), **local)) for seed in (1, 2)]
-    change = bumpymap.diff_surveys(*sides, tmp_path / "out")
+    change = bumpymap.diff_surveys(*sides, tmp_path / "out", register=False)
     page = ReadPage(change.folder / "report.html")
     number, row = next(iter(places_of(page).items()))
     (spot,) = [spot for spot in page.data["maps"][0]["places"] if spot["name"] == number]

@@ -64,8 +64,8 @@ def test_a_photo_is_levelled_and_leaves_the_colours_of_the_map_where_it_is_mid_g
     assert (lighter >= colours - 1).all()
 
 
-def test_closed_pixels_are_grey_and_not_whole_tiles(ground):
-    side = 15
+def test_closed_pixels_are_grey_and_not_whole_tiles():
+    ground, side = MadeUpMap.around(margin=0), 15
     ground.barred[:] = Barred.SPLIT
     ground.c_r[:] = 0.1
     fits = ground.fits = np.random.default_rng(2).random((ground.window.rows * side, ground.window.cols * side)) < 0.7

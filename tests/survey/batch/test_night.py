@@ -94,6 +94,7 @@ def test_the_summary_says_what_the_layers_say(night, surveys, alone):
     assert rows["broken"]["points"] == ""
 
 
+@pytest.mark.usefixtures("batches_here")
 def test_what_is_done_is_skipped_and_what_is_mended_is_mapped(tmp_path):
     """One has no CRS: `local`, given for it, keeps the maps of the others."""
     folder, out = tmp_path / "in", tmp_path / "o"
@@ -115,6 +116,7 @@ def test_what_is_done_is_skipped_and_what_is_mended_is_mapped(tmp_path):
     assert statuses(out) == dict.fromkeys("abc", "done")
 
 
+@pytest.mark.usefixtures("batches_here")
 def test_rows_of_a_table_have_their_own_settings(tmp_path):
     write_survey(tmp_path / "a.laz", epsg=None)
     (tmp_path / "bad.laz").touch()
@@ -126,6 +128,7 @@ def test_rows_of_a_table_have_their_own_settings(tmp_path):
     assert "is empty" in table(tmp_path / "o")["bad"]["message"]
 
 
+@pytest.mark.usefixtures("batches_here")
 def test_a_crs_for_all_is_that_of_surveys_without_one_and_warnings_are_everywhere(tmp_path):
     write_survey(tmp_path / "in" / "own.laz")
     write_survey(tmp_path / "in" / "silent.laz", epsg=None)
@@ -144,6 +147,7 @@ def test_a_crs_for_all_is_that_of_surveys_without_one_and_warnings_are_everywher
     assert "2 already done, 1 with warnings" in again.stdout
 
 
+@pytest.mark.usefixtures("batches_here")
 def test_an_interrupted_survey_is_begun_again_with_other_settings(surveys, alone, tmp_path):
     (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n")
     left = tmp_path / "o" / "a"
@@ -169,6 +173,7 @@ def test_a_signal_leaves_a_summary(surveys, tmp_path):
     assert not list((tmp_path / "o").glob(".*"))
 
 
+@pytest.mark.usefixtures("batches_here")
 def test_nothing_of_others_is_touched(surveys, tmp_path):
     (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n")
     mine = tmp_path / "mine"
@@ -199,6 +204,7 @@ def test_one_batch_at_a_time(surveys, tmp_path):
     assert not list((tmp_path / "o").iterdir())
 
 
+@pytest.mark.usefixtures("batches_here")
 def test_the_page_shows_layers_of_an_earlier_start_that_were_not_reached(surveys, tmp_path):
     (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n{surveys / 'b.las'}\n")
     batch(tmp_path / "s.txt", "--out", tmp_path / "o", code=0)
@@ -214,6 +220,7 @@ def test_the_page_shows_layers_of_an_earlier_start_that_were_not_reached(surveys
     assert (tmp_path / "o" / "index.html").read_text(encoding="utf-8").count("data:image/jpeg") == 2
 
 
+@pytest.mark.usefixtures("batches_here")
 def test_summary_and_page_are_written_during_the_night(surveys, tmp_path, monkeypatch):
     """So that those of a batch that is killed are not of the batch before."""
     monkeypatch.setattr("bumpymap.survey.batch.run._EVERY_S", -1.0)

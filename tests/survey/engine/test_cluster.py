@@ -148,7 +148,8 @@ def here(monkeypatch, limit_points):
 
 
 @pytest.mark.parametrize(
-    ("ground", "least", "tasks"), [("auto", 10_000, ALL_RANGES), ("all", TWO_TASKS, 2), ("auto", 10**7, 1)]
+    ("ground", "least", "tasks"),
+    [("auto", 10_000, ALL_RANGES), ("all", TWO_TASKS, 2), pytest.param("auto", 10**7, 1, marks=pytest.mark.later)],
 )
 def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
     surveys, plain, tmp_path, here, ground, least, tasks, monkeypatch
@@ -342,7 +343,7 @@ def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, distribute
     assert not (tmp_path / "layers").exists()
 
 
-@pytest.mark.parametrize("when", ["look", "read", "finish"])
+@pytest.mark.parametrize("when", ["look", "read", pytest.param("finish", marks=pytest.mark.later)])
 @pytest.mark.usefixtures("distributed")
 def test_workers_that_are_lost_end_the_run_with_a_word_and_nothing_is_read_twice(
     surveys, plain, tmp_path, here, monkeypatch, when

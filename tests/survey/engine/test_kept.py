@@ -199,7 +199,11 @@ def strip(tmp_path_factory):
 
 @pytest.mark.parametrize(
     ("waiting", "ground", "least", "spills"),
-    [(21_000, "class", 5, False), (2_000, "class", 5, True), (4_000, "auto", 4, True)],
+    [
+        (21_000, "class", 5, False),
+        (2_000, "class", 5, True),
+        pytest.param(4_000, "auto", 4, True, marks=pytest.mark.later),
+    ],
 )
 def test_complete_blocks_are_finished_before_points_go_to_disk(
     strip, tmp_path, monkeypatch, limit_points, waiting, ground, least, spills

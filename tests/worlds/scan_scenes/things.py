@@ -246,9 +246,7 @@ def vehicle(rng: np.random.Generator, base: Floats, heading: float | None = None
     ahead, side = np.array([np.cos(turn), np.sin(turn), 0.0]), np.array([-np.sin(turn), np.cos(turn), 0.0])
     low = base + clear * _UP
     cabin = low + 0.98 * (body * tall - clear) * _UP + ((back + front) / 2 - 0.5) * long * ahead
-    sizes = np.array(
-        [[long, wide, body * tall - clear], [(front - back) * long, 0.9 * wide, (1 - body) * tall]],
-    )
+    sizes = np.array([[long, wide, body * tall - clear], [(front - back) * long, 0.9 * wide, (1 - body) * tall]])
     parts = [boxes(sizes, np.stack([low, cabin]), np.full(2, turn))]
     radius = max(0.3, 0.8 * clear + 0.1)
     for along in (-0.3, 0.3):
