@@ -205,7 +205,7 @@ def refit(calibration: Calibration, like: Calibration | None = None) -> Calibrat
         )
     settings = calibrated_settings(calibration)
     rule = calibration.settings["class_rule"]
-    if kept := like is None and rule.startswith(LIMITS_OF):  # the calibration that they are of is not at hand
+    if kept := like is None and rule.startswith(LIMITS_OF):  # that calibration is not given
         like = calibration
     models, said = fit_models(settings, library_terrains(calibration), like)
     said |= {"class_rule": rule} if kept else {}
