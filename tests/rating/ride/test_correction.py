@@ -8,6 +8,7 @@ import pytest
 
 from bumpymap.core import BadInputError
 from bumpymap.rating import Calibration, Correction, MotionModel, Rides, ThinModel, subtract_noise
+from bumpymap.rating.calibration import shipped_calibrations
 
 SHIPPED = Calibration.shipped("warthog")
 RECORD = SHIPPED.ride
@@ -32,6 +33,20 @@ def test_below_what_was_driven_c_r_is_proportional():
     found = predicted(rides_of(1e-3, 1e-4))
     assert np.exp(CORRECTION.log_range[0]) > 1e-3
     assert np.diff(found.log_c_r) == pytest.approx(np.log(0.1))
+
+
+@pytest.mark.parametrize("vehicle", shipped_calibrations())
+def test_c_r_of_ground_that_reaches_higher_than_any_that_was_crossed_is_not_made_up(vehicle):
+    """In the driven terrains that were crossed the belly reach is 1.4 to 2.3 at most; a square beyond is a guess."""
+    correction = Correction.from_record(Calibration.shipped(vehicle).ride)
+    c_r = [
+        predicted(replace(ROUGH, belly_reach=np.full(50, reach)), correction=correction).log_c_r
+        for reach in (0.0, 1.5, 2.0, 5.0)
+    ]
+    np.testing.assert_array_equal(c_r[1], c_r[2])
+    np.testing.assert_array_equal(c_r[1], c_r[3])
+    assert np.all(c_r[0] <= c_r[1])
+    assert np.all(c_r[1] < c_r[0] + np.log(2.5))
 
 
 def test_ground_is_not_called_smoother_than_its_noise_lets_one_tell():
