@@ -34,8 +34,9 @@ from .ride.ground_power import (
 )
 from .ride.line import (
     felt_along as felt_along,
-    match_tiles as match_tiles,
+    match_noise as match_noise,
     roll_wheels as roll_wheels,
+    smooth_over as smooth_over,
 )
 from .ride.motion_operator import (
     MotionOperator as MotionOperator,

@@ -8,6 +8,8 @@ A heightmap holds the scan's noise, and a map does not keep how much. But the C_
 the relief is denoised (as for that prediction) just so far that the same prediction comes out of it.
 """
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,7 @@ from bumpymap.rating.ride.correction import Correction
 from bumpymap.rating.ride.motion_operator import Rides, roll_over
 from bumpymap.rating.ride.operator import RideOperator
 from bumpymap.rating.ride.rate import take_noise_off
+from bumpymap.rating.textures import remove_plane
 
 _ROUNDS = 7
 """Halvings of the logarithm of the noise that is tried: 1/128 of its range is left. Chosen."""
@@ -25,36 +28,55 @@ _LEAST = 1e-5
 """C_r below is a rounding error, rad/m."""
 
 
-def match_tiles(
+def match_noise(
     relief_map: NDArray[np.float32], c_r: Floats, slope_deg: Floats, correction: Correction, operator: RideOperator
-) -> tuple[NDArray[np.float32], Rides, Floats]:
-    """Take as much noise off the relief of n tiles as brings their predicted C_r down to the one that is stated.
+) -> Floats:
+    """Return how much noise of a pixel, (n,) m, brings the predicted C_r of n tiles down to the one that is stated.
 
-    ``relief_map`` (n, pixels, pixels): plane-removed, m; tiles with NaN are left out. ``c_r`` (n,): at the profile's
-    speed, without the vehicle's floor, rad/m; where it is NaN, the relief stays. ``slope_deg`` (n,): of their planes.
-    Returns the relief, NaN where a tile has holes; its rides; and (n,) stated C_r over that predicted from it, 1 where
-    one of them is unknown.
+    It is 0 where the prediction is no higher, where a tile has holes, and where one of both is unknown.
+    ``relief_map`` (n, pixels, pixels): plane-removed, m; ``c_r`` (n,): at the profile's speed, without the vehicle's
+    floor, rad/m; ``slope_deg`` (n,): of their planes.
     """
     wanted = np.log(np.maximum(c_r, _LEAST))
-    clean, rides = relief_map.copy(), roll_over(relief_map, operator)
-    rough = np.flatnonzero(correction.without_noise(rides, slope_deg) > wanted)
+    rough = np.flatnonzero(correction.without_noise(roll_over(relief_map, operator), slope_deg) > wanted)
+    relief, wanted, slope_deg = relief_map[rough], wanted[rough], slope_deg[rough]
     low, high = (np.full(len(rough), np.log(end)) for end in _NOISE_M)
-    least, names = low, Rides.__dataclass_fields__
-    for last in [False] * _ROUNDS + [True]:
-        # What is taken off in the end was tried already, but where the least was too much in all rounds.
-        some = np.flatnonzero(low == least) if last else np.arange(len(rough))
-        middle = low[some] if last else 0.5 * (low + high)
-        tried = _without(relief_map[rough[some]], np.exp(middle))
-        ridden = roll_over(tried, operator)
-        too_rough = correction.without_noise(ridden, slope_deg[rough[some]]) > wanted[rough[some]]
-        kept = np.full(len(some), last) | too_rough
-        clean[rough[some[kept]]] = tried[kept]
-        for name in names:
-            getattr(rides, name)[rough[some[kept]]] = getattr(ridden, name)[kept]
-        if not last:
-            low, high = np.where(too_rough, middle, low), np.where(too_rough, high, middle)
-    left = np.exp(wanted - correction.without_noise(rides, slope_deg))
-    return clean, rides, np.where(np.isfinite(left), left, 1.0)
+    for _ in range(_ROUNDS):
+        middle = 0.5 * (low + high)
+        ridden = roll_over(_without(relief, np.exp(middle)), operator)
+        too_rough = correction.without_noise(ridden, slope_deg) > wanted
+        low, high = np.where(too_rough, middle, low), np.where(too_rough, high, middle)
+    noise = np.zeros(len(relief_map))
+    noise[rough] = np.exp(low)
+    return noise
+
+
+def smooth_over(heights: Floats, noise: Floats, pixels: int) -> Floats:
+    """Return what is to be added to heights, (rows * pixels, cols * pixels) m, to take the noise of their tiles off.
+
+    ``noise`` (rows, cols): of a pixel, m, of `match_noise`; NaN where it is not known. Patches of the size of a tile
+    are denoised at the places of the tiles and half a tile beside them, and blended, so that nothing jumps at borders.
+    """
+    added, weight, half = np.zeros(heights.shape), np.zeros(heights.shape), pixels // 2
+    fade = np.sin(np.pi * (np.arange(pixels) + 0.5) / pixels) ** 2
+    fade = fade[:, None] * fade
+    variance = np.repeat(np.repeat(noise**2, pixels, axis=0), pixels, axis=1)
+    for first in product((0, half), repeat=2):
+        here = tuple(slice(own, (own - pixels) if own else None) for own in first)
+        patches, own, taken, shares = (_cut(values[here], pixels) for values in (heights, variance, added, weight))
+        known, found = np.isfinite(patches).all(axis=(2, 3)), np.isfinite(own)
+        mean = np.where(found, own, 0.0).sum(axis=(2, 3)) / np.maximum(found.sum(axis=(2, 3)), 1)
+        shares[known] += fade
+        at = np.nonzero(known & (mean > 0.0))
+        relief = remove_plane(patches[at]).astype(np.float32)
+        taken[at] += fade * (_without(relief, np.sqrt(mean[at])) - relief)
+    return added / np.maximum(weight, 1e-9)
+
+
+def _cut(mosaic: Floats, pixels: int) -> Floats:
+    """Return a view of a mosaic as tiles, (rows, cols, pixels, pixels)."""
+    rows, cols = (size // pixels for size in mosaic.shape)
+    return mosaic.reshape(rows, pixels, cols, pixels).transpose(0, 2, 1, 3)
 
 
 def _without(relief_map: NDArray[np.float32], noise: Floats) -> NDArray[np.float32]:
