@@ -1,21 +1,15 @@
-from .beside_steps import (
-    rate_beside_steps as rate_beside_steps,
-)
 from .calibration import (
     Calibration as Calibration,
     DrivenTerrain as DrivenTerrain,
     find_calibration as find_calibration,
     shipped_calibrations as shipped_calibrations,
 )
-from .cost import (
-    rate as rate,
-    rate_as_paper as rate_as_paper,
-)
 from .drive_update import (
     DriveUpdate as DriveUpdate,
     update_from_drives as update_from_drives,
 )
 from .passable import (
+    ZoneFinder as ZoneFinder,
     close_split_tiles as close_split_tiles,
     find_passable as find_passable,
     free_areas as free_areas,
@@ -90,6 +84,7 @@ from .steps import (
     crossing_fails as crossing_fails,
     edge_usable as edge_usable,
     find_steps as find_steps,
+    rate_beside_steps as rate_beside_steps,
 )
 from .textures import (
     FEATURE_VERSION as FEATURE_VERSION,
@@ -98,20 +93,17 @@ from .textures import (
     classify as classify,
     measures_of as measures_of,
     normalise as normalise,
+    rate as rate,
+    rate_as_paper as rate_as_paper,
     remove_plane as remove_plane,
-)
-from .vehicle_body import (
-    less_floor as less_floor,
-    with_floor as with_floor,
 )
 from .vehicle_profile import (
     KEYS as KEYS,
     Vehicle as Vehicle,
     estimated_values as estimated_values,
     flat_profile as flat_profile,
+    less_floor as less_floor,
     shipped_profiles as shipped_profiles,
+    with_floor as with_floor,
     write_profile_template as write_profile_template,
-)
-from .zones import (
-    ZoneFinder as ZoneFinder,
 )

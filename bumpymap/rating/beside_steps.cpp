@@ -1,4 +1,4 @@
-// The nearest marked pixel of each pixel in its tile. Ours; see beside_steps.py.
+// The nearest marked pixel of each pixel in its tile. Ours; see steps.py.
 #include "bumpytiles/bindings.hpp"
 
 namespace bumpy {

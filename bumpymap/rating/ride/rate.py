@@ -33,7 +33,7 @@ from bumpymap.rating.ride.correction import Correction, Prediction, class_chance
 from bumpymap.rating.ride.motion_operator import MotionOperator, move_over, roll_over
 from bumpymap.rating.ride.operator import RideOperator, cosines
 from bumpymap.rating.ride.speed import LEVEL, motion_factors, plain_speed_factor, speed_log_sd
-from bumpymap.rating.vehicle_body import with_floor
+from bumpymap.rating.vehicle_profile import with_floor
 
 _STEEPNESS = (2.0, 2.6, 3.2, 3.8, 4.5)
 """Exponents of the ground's spectrum that are tried: Hurst exponents from 0 to beyond 1."""

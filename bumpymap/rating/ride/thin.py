@@ -34,7 +34,7 @@ from bumpymap.rating.ride.motion_operator import roll_over
 from bumpymap.rating.ride.operator import RideOperator
 from bumpymap.rating.ride.rate import DRIVE_LOG_SD, interval, judge
 from bumpymap.rating.ride.speed import plain_speed_factor, speed_log_sd
-from bumpymap.rating.vehicle_body import less_floor
+from bumpymap.rating.vehicle_profile import less_floor
 
 THIN_COLUMNS = (
     *("points", "seen", "slope", "squares", "pairs"),
