@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, Band
 from bumpymap.layers._cog import write_array
-from bumpymap.layers.map_files import require_written
-from bumpymap.layers.map_reader import MapReader, common_window, open_map
+from bumpymap.layers.map_reader import MapReader, common_window, open_map, require_written
 from bumpymap.layers.placement import Placement, RasterSpec
 from bumpymap.layers.products import MapFile
 from bumpymap.layers.regions import trace_all

@@ -26,8 +26,7 @@ from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.layers import SurveyRow
 from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.placement import MAX_PIXELS, MAX_TILES
-from bumpymap.layers.scan_files import COLUMNS
-from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
+from bumpymap.layers.scan_folder import COLUMNS, SCAN_CLASS_NAMES, SCAN_COLOURS
 from bumpymap.rating import Vehicle
 from bumpymap.readers import parse_columns
 from bumpymap.readers.drive_signals import NAMES, QUANTITIES, UNITS

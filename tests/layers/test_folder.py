@@ -29,7 +29,7 @@ from bumpymap.check import check_drives
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.files import atomic, write_together
 from bumpymap.layers import check_extent, check_folder, open_map, read_areas, read_points, write_products
-from bumpymap.layers.geotiff import write_raster
+from bumpymap.layers.folder import write_raster
 from bumpymap.layers.manifest import describe_file, describe_input, software_versions
 from bumpymap.layers.placement import MAX_TILES
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES, MapFile
