@@ -1,6 +1,6 @@
 // The cost of a line over a map, its distance to closed tiles, and how it is pulled tight: corners are left
 // out, moved off the borders of tiles, and moved by ever smaller steps. Every cost is the exact integral. Ours; see
-// straighten.py.
+// search.py.
 #include "bumpymap/route/lines.hpp"
 
 namespace bumpy {

@@ -46,8 +46,7 @@ from bumpymap.survey.run_record import (
     run_manifest,
     versions,
 )
-from bumpymap.survey.second_pass import NeighbourRating, finish_tiles
-from bumpymap.survey.tile_rating import RatingModels, TileRating
+from bumpymap.survey.tile_rating import NeighbourRating, RatingModels, TileRating, finish_tiles
 
 _COLOURED = 0.1
 """Share of points with a colour from which on there is a photo."""

@@ -32,7 +32,7 @@ from bumpymap.readers import parse_columns
 from bumpymap.readers.drive_signals import NAMES, QUANTITIES, UNITS
 from bumpymap.scan.config import SCAN_PRODUCTS, ScanConfig
 from bumpymap.scan.pipeline import scan_frames
-from bumpymap.survey.batch.source import list_surveys
+from bumpymap.survey.batch.run import list_surveys
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "pages"

@@ -34,8 +34,7 @@ from bumpymap.core.types import rated_columns
 from bumpymap.layers import open_map
 from bumpymap.rating import find_steps
 from bumpymap.survey import second_pass
-from bumpymap.survey.second_pass import NeighbourRating, finish_tiles
-from bumpymap.survey.tile_rating import RatingModels, TileRating
+from bumpymap.survey.tile_rating import NeighbourRating, RatingModels, TileRating, finish_tiles
 from bumpytiles import BLOCK_TILES, Grid, TileBuckets, TileTable
 
 pytestmark = pytest.mark.usefixtures("without_views")
@@ -246,7 +245,7 @@ def test_the_middle_of_the_vehicle_keeps_its_distance_from_every_obstacle(
     assert (apart < np.inf).any()
     assert apart[is_free].min() > 0.5 * open_map(tmp_path / "layers").vehicle.width_m + 0.09
     limit_points(block=3_000)
-    monkeypatch.setattr("bumpymap.survey.second_pass.STRIP_BLOCKS", 1)
+    monkeypatch.setattr("bumpymap.survey.tile_rating.STRIP_BLOCKS", 1)
     bumpymap.map_survey(tmp_path / "survey.las", tmp_path / "parts")
     rasters = [f"rasters/{name}.tif" for name in ("roughness", "barred", "obstacle", "passage")]
     for name in (*rasters, "tiles.parquet"):
