@@ -9,8 +9,7 @@ import click
 
 from bumpymap.cli._options import PATH, Run, grouped_option, job, settings_options
 from bumpymap.cli._text import option_name
-from bumpymap.core import UsageError, share_text
-from bumpymap.views import ExportFormat, ExportSettings
+from bumpymap.core import ExportFormat, ExportSettings, UsageError, share_text
 
 if TYPE_CHECKING:
     from bumpymap.layers import MapReader

@@ -33,7 +33,7 @@ from bumpymap.core.interrupts import SilentProgress
 from bumpymap.core.types import rated_columns
 from bumpymap.layers import open_map
 from bumpymap.rating import find_steps
-from bumpymap.survey import second_pass
+from bumpymap.survey import tile_rating
 from bumpymap.survey.tile_rating import NeighbourRating, RatingModels, TileRating, finish_tiles
 from bumpytiles import BLOCK_TILES, Grid, TileBuckets, TileTable
 
@@ -441,9 +441,9 @@ def test_zones_are_those_of_the_whole_mosaic_however_it_is_cut(body, data):
     table = TileTable.of(SMALL_GRID, {name: values[order] for name, values in columns.items()})
     with pytest.MonkeyPatch.context() as patch:
         blocks = data.draw(st.sampled_from([1, 2, 9]))
-        patch.setattr(second_pass, "STRIP_PIXELS", blocks * (BLOCK_TILES * SMALL_GRID.pixels) ** 2)
+        patch.setattr(tile_rating, "STRIP_PIXELS", blocks * (BLOCK_TILES * SMALL_GRID.pixels) ** 2)
         with TemporaryDirectory() as folder:
-            found = second_pass.add_zones(table, body, Path(folder)).read(("zone", "barred", "passage"))
+            found = tile_rating.add_zones(table, body, Path(folder)).read(("zone", "barred", "passage"))
     np.testing.assert_array_equal(found["zone"], expected(found, body))
     assert found["zone"].dtype == np.int32
 
