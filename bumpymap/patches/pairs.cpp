@@ -4,7 +4,6 @@
 #include <nanobind/stl/tuple.h>
 
 #include "bumpymap/patches/heightmap.hpp"
-#include "bumpymap/patches/nine_parts.hpp"
 #include "bumpymap/patches/points_by_tile.hpp"
 
 namespace bumpy {

@@ -45,11 +45,11 @@ that never fall, with straight lines between the known heights:
   C_r is proportional to the height below the lowest. Above the highest known step, the curves stay.
 - p_fail of a crossing, up and down: the mean over the angles.
 
-*Beside steps* (``beside_steps.cpp``). A tile with a ditch in it fails as a whole, and so would the bridge over it. So
-the pixels of steps that the vehicle cannot cross are taken out, with those beside them, which may hold a part of its
-face. What is left falls into areas that hang together; each has a slope of its own, and what is left after the planes
-of all of them are removed is the relief that the ride model rolls over. Noise is taken off as in the rating of whole
-tiles; it is estimated from pairs of points, because the spread of each pixel is not kept.
+*Beside steps.* A tile with a ditch in it fails as a whole, and so would the bridge over it. So the pixels of steps that
+the vehicle cannot cross are taken out, with those beside them, which may hold a part of its face. What is left falls
+into areas that hang together; each has a slope of its own, and what is left after the planes of all of them are removed
+is the relief that the ride model rolls over. Noise is taken off as in the rating of whole tiles; it is estimated from
+pairs of points, because the spread of each pixel is not kept.
 """
 
 import math
