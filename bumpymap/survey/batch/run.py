@@ -71,8 +71,7 @@ from bumpymap.rating import Calibration, find_calibration
 from bumpymap.readers import find_surveys
 from bumpymap.survey.batch.settings import OWN_SETTINGS, BatchConfig, MapSettings, PathLike, SurveyPer, map_settings
 from bumpymap.survey.engine import connect
-from bumpymap.survey.pipeline import map_surveys
-from bumpymap.survey.run_record import collected_warnings
+from bumpymap.survey.pipeline import collected_warnings, map_surveys
 from bumpymap.views import SurveyView, index_page, page_header, read_thumbnail
 
 _LISTS = (".txt", ".csv")
