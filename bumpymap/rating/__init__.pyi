@@ -22,15 +22,6 @@ from .ride.correction import (
     ride_features as ride_features,
     subtract_noise as subtract_noise,
 )
-from .ride.ground_power import (
-    Strength as Strength,
-    find_strengths as find_strengths,
-)
-from .ride.line import (
-    felt_along as felt_along,
-    match_tiles as match_tiles,
-    roll_wheels as roll_wheels,
-)
 from .ride.motion_operator import (
     MotionOperator as MotionOperator,
     Rides as Rides,
@@ -48,6 +39,9 @@ from .ride.rate import (
     DRIVE_LOG_SD as DRIVE_LOG_SD,
     RideModel as RideModel,
     denoise as denoise,
+    felt_along as felt_along,
+    match_tiles as match_tiles,
+    roll_wheels as roll_wheels,
 )
 from .ride.speed import (
     QUANTITIES as QUANTITIES,
@@ -66,9 +60,11 @@ from .ride.thin import (
     THIN_COLUMNS as THIN_COLUMNS,
     THIN_RING as THIN_RING,
     BlockRating as BlockRating,
+    Strength as Strength,
     ThinModel as ThinModel,
     dense_share as dense_share,
     fail_terms as fail_terms,
+    find_strengths as find_strengths,
     is_rateable as is_rateable,
     log_points as log_points,
     rate_thin as rate_thin,
