@@ -125,7 +125,11 @@ class SectorRater:
         own = replace(own, p_fail=np.where(too_steep, np.float32(1.0), own.p_fail))
         if calibration.pixels >= _LEAST_STEP_PIXELS:
             own = self._with_steps(own, patches, dense_share(coverage)[1:-1, 1:-1], coverage[1:-1, 1:-1])
-        return _widened(own, coverage[1:-1, 1:-1])
+        # What scan lines miss widens the intervals.
+        above = np.interp(np.nan_to_num(coverage[1:-1, 1:-1]), (0.75, 0.9), _ABOVE)
+        low, high = (np.log(end / own.c_r) for end in (own.c_r_low, own.c_r_high))
+        lowest, highest = own.c_r * np.exp(-np.hypot(low, _BELOW)), own.c_r * np.exp(np.hypot(high, above))
+        return replace(own, c_r_low=lowest, c_r_high=highest)
 
     def _lay(self, values: NDArray[Any], patches: PatchStack, gap: int = 0) -> NDArray[Any]:
         """Lay values of tiles out in the square and a ring around it, north row first; NaN or ``gap`` elsewhere."""
@@ -182,15 +186,6 @@ class SectorRater:
         class_id = np.where(rated, class_id, NO_CLASS).astype(np.uint8)
         low, high = mean(tiles.c_r_low), mean(tiles.c_r_high)
         return SectorRide(c_r, low, high, class_id, fails, limits.astype(np.float32))
-
-
-def _widened(tiles: BlockRating, coverage: NDArray[np.floating]) -> BlockRating:
-    """Widen the intervals of tiles by what scan lines miss."""
-    above = np.interp(np.nan_to_num(coverage), (0.75, 0.9), _ABOVE)
-    low, high = (np.log(end / tiles.c_r) for end in (tiles.c_r_low, tiles.c_r_high))
-    return replace(
-        tiles, c_r_low=tiles.c_r * np.exp(-np.hypot(low, _BELOW)), c_r_high=tiles.c_r * np.exp(np.hypot(high, above))
-    )
 
 
 def _cut(points: NDArray[np.float32], grid: Grid, side: int) -> TilePoints:
