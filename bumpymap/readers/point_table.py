@@ -14,7 +14,6 @@ from itertools import islice
 from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
-import pypcd4
 from numpy.typing import NDArray
 
 from bumpymap.core import PLY_TYPES, BadInputError, CrsStatement, Floats, Place, PointCloud, georeference
@@ -463,7 +462,7 @@ class PcdTable(PointTable):
             row: np.dtype[np.void] = head.build_dtype()
             refuse_missing_axes(path, row.names or ())
             _refuse_size(stream, path, head, size - data_at, memory)
-        is_text = head.data is pypcd4.Encoding.ASCII
+        is_text = head.data.value == "ascii"
         pose_note = ("its header gives the pose of the sensor (VIEWPOINT), which is not applied",)
         notes = pose_note if head.viewpoint != _NO_POSE else ()
         kind = f"PCD {head.version}, {head.data.value}"
@@ -473,17 +472,19 @@ class PcdTable(PointTable):
     @property
     def sequential(self) -> bool:
         """See ``PointTable.sequential``."""
-        return self._head.data is not pypcd4.Encoding.BINARY
+        return bool(self._head.data.value != "binary")
 
     def rows(self, first: int, count: int) -> Any:
         """See ``PointTable.rows``."""
-        if self._head.data in {pypcd4.Encoding.ASCII, pypcd4.Encoding.BINARY}:
+        if self._head.data.value in {"ascii", "binary"}:
             return super().rows(first, count)
         return self._unpacked[first : first + count]
 
     @cached_property
     def _unpacked(self) -> NDArray[np.void]:
         """All rows; cached, since they are compressed column by column."""
+        import pypcd4
+
         with decoding(self.path, "the points"), open_source(self.path) as stream:
             stream.seek(self._data_at)
             # Pass the header that was checked, not that of the file, which pypcd4 might parse differently.
@@ -493,6 +494,8 @@ class PcdTable(PointTable):
 
 
 def _read_pcd_header(stream: BinaryIO, path: Location) -> Any:
+    import pypcd4  # slow to load
+
     lines: list[str] = []
     for _ in range(_PCD_HEADER):
         line = stream.readline(_PCD_LINE).decode("utf-8", "replace").strip()
@@ -519,9 +522,9 @@ def _read_pcd_header(stream: BinaryIO, path: Location) -> Any:
 def _refuse_size(stream: BinaryIO, path: Location, head: Any, room: int, memory: int) -> None:
     """Check the declared point count against the size of the file and the memory, before any is allocated for it."""
     row = head.build_dtype().itemsize
-    if head.data is pypcd4.Encoding.ASCII:
+    if head.data.value == "ascii":
         refuse_points(path, head.points, (room + 1) // (2 * sum(head.count)))
-    elif head.data is pypcd4.Encoding.BINARY:
+    elif head.data.value == "binary":
         refuse_points(path, head.points, room // row)
     else:
         packed, unpacked = struct.unpack("<II", stream.read(8)) if room >= 8 else (0, 0)
