@@ -9,12 +9,12 @@ to closed tiles; then the straight part that leads away from such an end, and it
 tiles than the end does. A margin of 0 counts as 1e-6 tiles, so that no line slips between two closed tiles that touch
 at a corner.
 
-*Pulling tight* (``straighten.cpp``) goes on in turns until nothing is gained: corners are left out wherever the
+*Pulling tight* goes on in turns until nothing is gained: corners are left out wherever the
 straight line costs no more (the cheapest choice among several in a row); new corners are set beside each that is left
 and in the middle of long straight parts; all corners are moved by ever smaller steps. Every cost is the exact integral.
 The result is never dearer, and never nearer to closed tiles than allowed.
 
-*The search* (``search.cpp``) goes from middle to middle of tiles by 48 moves, each the exact integral of the cost over
+*The search* goes from middle to middle of tiles by 48 moves, each the exact integral of the cost over
 the tiles that it crosses, clear of closed ones. Start and goal lie anywhere in their tiles and see the middles around
 them straight; if they see each other, the straight line competes. `pull_tight` then pulls the way tight.
 
