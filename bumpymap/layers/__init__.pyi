@@ -107,9 +107,6 @@ from .products import (
     require_folder as require_folder,
     verified_record as verified_record,
 )
-from .regions import (
-    label as label,
-)
 from .route_files import (
     route_coordinates as route_coordinates,
     route_properties as route_properties,
@@ -165,5 +162,6 @@ from .tile_table import (
 )
 from .vector import (
     GeoJsonCoordinates as GeoJsonCoordinates,
+    label as label,
     outline_of as outline_of,
 )

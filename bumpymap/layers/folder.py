@@ -63,10 +63,9 @@ from bumpymap.layers.manifest import (
 from bumpymap.layers.orthophoto import tiles_of_photo
 from bumpymap.layers.placement import Placement, RasterSpec, RasterWindow
 from bumpymap.layers.products import EVERY_FILE, SOME_NAMES, MapFile
-from bumpymap.layers.regions import dissolve
 from bumpymap.layers.stac import write_item
 from bumpymap.layers.tile_table import write_tiles
-from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
+from bumpymap.layers.vector import GeoJsonCoordinates, dissolve, flatgeobuf_writer, geojson_writer
 from bumpytiles import BLOCK_TILES, TileTable, TileWindow
 
 
