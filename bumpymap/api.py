@@ -182,10 +182,11 @@ class Layers:
         overwrite : bool
             Replace an earlier export in the same format.
         **settings
-            Fields of `bumpymap.views.ExportSettings`: ``to`` (``nav2``, ``gridmap``, ``plan``), ...
+            Fields of `bumpymap.core.ExportSettings`: ``to`` (``nav2``, ``gridmap``, ``plan``), ...
         """
+        from bumpymap.core import ExportSettings
         from bumpymap.layers import open_map
-        from bumpymap.views import ExportSettings, export_map
+        from bumpymap.views import export_map
 
         own = ExportSettings(**settings_of_call(settings, ExportSettings, "Layers.export"))
         target = Path(path_of_call("out", out))

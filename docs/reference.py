@@ -17,7 +17,7 @@ from click.testing import CliRunner
 
 from bumpymap.cli import main
 from bumpymap.core import BANDS
-from bumpymap.layers.scan_files import sector_schema
+from bumpymap.layers.scan_folder import sector_schema
 from bumpymap.layers.tile_table import tile_fields
 from bumpymap.rating import KEYS, Vehicle, flat_profile, shipped_profiles
 

@@ -1,2 +1,1 @@
 from .pipeline import check_drives as check_drives, run_check as run_check
-from .settings import CheckConfig as CheckConfig

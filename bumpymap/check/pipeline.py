@@ -17,11 +17,12 @@ from scipy.stats import rankdata
 
 from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure, measure_drive
 from bumpymap.check.places import MetrePlaces, are_inside, places_alone, places_on_map, read_slopes, window_around
-from bumpymap.check.settings import LEAST_WINDOW_M, CheckConfig
 from bumpymap.check.stretches import cut_stretches, read_along, read_line, with_ground
 from bumpymap.core import (
+    LEAST_WINDOW_M,
     NO_CLASS,
     BadInputError,
+    CheckConfig,
     CheckedDrive,
     CheckedMap,
     CheckResult,

@@ -16,8 +16,17 @@ from numpy.typing import NDArray
 from bumpymap.check.inertial import pieces
 from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure
 from bumpymap.check.places import window_around
-from bumpymap.check.settings import LEAST_WINDOW_M
-from bumpymap.core import NO_CLASS, NO_TILE, NORMAL_80, Barred, DrivenStretches, Floats, TileField, interval_log_sd
+from bumpymap.core import (
+    LEAST_WINDOW_M,
+    NO_CLASS,
+    NO_TILE,
+    NORMAL_80,
+    Barred,
+    DrivenStretches,
+    Floats,
+    TileField,
+    interval_log_sd,
+)
 from bumpymap.layers import MapReader
 from bumpymap.rating import less_floor
 from bumpymap.route import LineRide, LineVehicle, points_along, ride_line

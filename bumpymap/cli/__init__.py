@@ -50,8 +50,8 @@ _COMMANDS = {
 
 _TOGETHER = {
     **dict.fromkeys(("calibrate", "evaluate", "train"), "lab_commands"),
-    **dict.fromkeys(("diff", "report", "settings", "vehicle", "view"), "short_commands"),
-    "demo": "map_command",
+    **dict.fromkeys(("diff", "export", "report", "settings", "vehicle", "view"), "short_commands"),
+    **dict.fromkeys(("batch", "demo"), "map_command"),
 }
 """Module of each command, ``NAME_command`` in it, that has none of its own."""
 _BAD = 3

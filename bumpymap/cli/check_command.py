@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.check import CheckConfig
 from bumpymap.cli._options import FILE, PATH, Run, grouped_option, job, settings_options
 from bumpymap.cli._text import Styled, Table, cell
 from bumpymap.core import (
     BadInputError,
     BumpymapError,
+    CheckConfig,
     OutputError,
     UsageError,
     atomic,

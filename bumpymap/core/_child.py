@@ -71,7 +71,9 @@ def _handle(shared: _Shared, functions: Any, request: bytes) -> bytes:
         # The system ends a call that takes too long, even inside native code. CPU time is measured, since wall time
         # would depend on other programs.
         signal.setitimer(signal.ITIMER_PROF, seconds)
-        before = _limit_memory(memory)
+        before = soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+        if memory and (soft == resource.RLIM_INFINITY or memory < soft):  # 0: as many bytes as before
+            resource.setrlimit(resource.RLIMIT_DATA, (memory, hard))
         try:
             result = getattr(functions, name)(*arguments, *views)
         finally:
@@ -80,14 +82,6 @@ def _handle(shared: _Shared, functions: Any, request: bytes) -> bytes:
         return pickle.dumps(("result", result))
     except BaseException as error:  # noqa: BLE001 (a panic in Rust is not an Exception)
         return pickle.dumps(("error", (str(error).strip() or type(error).__name__)[:_LONGEST_TEXT]))
-
-
-def _limit_memory(most: int) -> tuple[int, int]:
-    """Let this process hold at most ``most`` bytes (0: as many as before); return the limits until now."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    if most and (soft == resource.RLIM_INFINITY or most < soft):
-        resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
-    return soft, hard
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Settings of a map run, and of the polar grid and the robot of scans: declared once, checked when they are created."""
+"""Settings of a map, a check, an export, and of the polar grid and the robot of scans: declared once, checked."""
 
 import math
 import os
@@ -429,3 +429,97 @@ class DirectionSettings:
     def steepest(self) -> float:
         """Tangent of ``side_limit``; infinite if there is none."""
         return math.inf if self.side_limit is None else math.tan(math.radians(self.side_limit))
+
+
+LEAST_WINDOW_M = 5.0
+"""Shortest stretch that gets a C_r of its own, m (chosen: of less it is chance)."""
+
+
+@dataclass(frozen=True, slots=True)
+class CheckConfig:
+    """All settings of a ``check`` run."""
+
+    drives: Annotated[
+        tuple[str, ...],
+        Setting("Log: CSV, bag, ULog; files of one drive by commas", "LOG", option="drive", group="Input"),
+    ]
+    layers: Path | None = None
+    """Layers of the map; None: the drives are measured alone."""
+    out: Annotated[Path | None, Setting("Folder for the files: page, tables, GIS layers", "DIR", group="Output")] = None
+    """Folder for the files; None: only the summary."""
+    columns: Mapping[str, str] | None = None
+    """Quantity -> column or topic that holds it; None: by their names."""
+    band_hz: Annotated[
+        float, Setting("Rates are low-passed at this frequency", "HZ", 1.0, unit="Hz", option="band", rare=True)
+    ] = 10.0
+    window_m: Annotated[
+        float,
+        Setting(
+            "Length of a stretch, at least 5",
+            "M",
+            LEAST_WINDOW_M,
+            unit="m",
+            why=", so that the C_r of a stretch is more than chance",
+            option="window",
+            rare=True,
+        ),
+    ] = 10.0
+    calibration: Annotated[
+        Path | None, Setting("That of the map, if it is not included; what --refit moves", "FILE", group="Vehicle")
+    ] = None
+    """The calibration that the map was made with; None: an included one."""
+    overwrite: Annotated[bool, Setting("Replace the files of an earlier check", group="Output")] = False
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if not self.drives:
+            raise UsageError("no drive is given. Give the log of a drive with `drives`, such as a CSV file or a bag")
+        twice = [drive for number, drive in enumerate(self.drives) if drive in self.drives[:number]]
+        if twice:
+            raise UsageError(f"the drive {twice[0]} is given twice, and would count twice. Give each once")
+
+
+ExportFormat = Literal["nav2", "gridmap", "plan", "cost"]
+"""Maps and masks for Nav2; a grid_map message; a mission for QGroundControl; cost on pixels."""
+ExportResolution = Literal["pixel", "tile"]
+"""One cell a pixel of the heightmap, or one a tile, which is closed if anything stands in it."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExportSettings:
+    """Settings of an export."""
+
+    to: Annotated[ExportFormat, Setting("Format; see above", "FORMAT", default="", group="Output")] = "nav2"
+    around: tuple[float, float] | None = None
+    """Easting and northing on the grid, m: export the tiles within ``radius`` to each side of it; else all."""
+    radius: Annotated[
+        float, Setting("How far around, to each side, m", "M", 0.0, unit="m", exclusive=True, group="Input")
+    ] = 100.0
+    datum: tuple[float, float] | None = None
+    """Easting and northing of the local frame's origin, m; else a corner of a tile near the middle."""
+    resolution: Annotated[
+        ExportResolution, Setting("nav2, gridmap: a cell is a pixel or a tile", "SIZE", group="Output")
+    ] = "pixel"
+    max_cost: Annotated[
+        float | None,
+        Setting(
+            "nav2: cost per metre of the highest value",
+            "COST",
+            1.0,
+            exclusive=True,
+            default="very rough ground",
+            rare=True,
+        ),
+    ] = None
+    """nav2: cost per metre of the highest value; else that of very rough ground for the vehicle."""
+    route: Annotated[
+        Path | None, Setting("plan: folder or GeoJSON of a route", "PATH", default="LAYERS", group="Input")
+    ] = None
+    """plan: folder that ``bumpymap route`` wrote, or GeoJSON file of a route; else the first folder of the map."""
+    through_obstacles: Annotated[bool, Setting("plan: take a route that touches obstacles too", group="Input")] = False
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        for name, place in (("around", self.around), ("datum", self.datum)):
+            if place is not None and not all(map(math.isfinite, place)):
+                raise UsageError(f"`{name}` is {place}; it must be two numbers, easting and northing in metres")

@@ -105,14 +105,9 @@ def axis_values(values: NDArray[np.floating], down: NDArray[np.floating], right:
     """
     first, second, share = axes_along(values.shape[1], *np.broadcast_arrays(down, right, np.empty(len(values)))[:2])
     each = np.arange(len(values))
-    return between_axes(values[each, first], values[each, second], share)
-
-
-def between_axes(first: NDArray[np.floating], second: NDArray[np.floating], share: NDArray[np.floating]) -> Floats:
-    """Return values between those of two axes, by `axes_along`; infinite where the ground is closed."""
-    low = first.astype(np.float64)
-    with np.errstate(invalid="ignore"):
-        return np.where(np.isfinite(low), low + share * (second - low), low)
+    low = values[each, first].astype(np.float64)
+    with np.errstate(invalid="ignore"):  # infinite where the ground is closed
+        return np.where(np.isfinite(low), low + share * (values[each, second] - low), low)
 
 
 def by_mean(headings: NDArray[np.float32], c_r: NDArray[np.float32]) -> Floats:

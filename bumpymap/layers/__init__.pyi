@@ -53,9 +53,9 @@ from .colours import (
     class_ranges as class_ranges,
     on_islands as on_islands,
 )
-from .folder import write_products as write_products
-from .geotiff import (
+from .folder import (
     box_sum as box_sum,
+    write_products as write_products,
 )
 from .lazy_raster import (
     lazy_values as lazy_values,
@@ -74,16 +74,14 @@ from .manifest import (
     software_versions as software_versions,
     write_manifest as write_manifest,
 )
-from .map_files import (
-    open_layer as open_layer,
-    read_averaged as read_averaged,
-    read_colours as read_colours,
-    require_written as require_written,
-)
 from .map_reader import (
     MapReader as MapReader,
     common_window as common_window,
+    open_layer as open_layer,
     open_map as open_map,
+    read_averaged as read_averaged,
+    read_colours as read_colours,
+    require_written as require_written,
 )
 from .orthophoto import (
     open_photo as open_photo,
@@ -109,9 +107,6 @@ from .products import (
     require_folder as require_folder,
     verified_record as verified_record,
 )
-from .regions import (
-    label as label,
-)
 from .route_files import (
     route_coordinates as route_coordinates,
     route_properties as route_properties,
@@ -129,13 +124,6 @@ from .route_inputs import (
     read_points as read_points,
     tiles_in as tiles_in,
 )
-from .scan_files import (
-    frame_files as frame_files,
-    open_accumulated as open_accumulated,
-    open_table as open_table,
-    sector_rows as sector_rows,
-    write_frame as write_frame,
-)
 from .scan_folder import (
     ACCUMULATED_NAME as ACCUMULATED_NAME,
     FRAME_FOLDER as FRAME_FOLDER,
@@ -150,16 +138,21 @@ from .scan_folder import (
     check_scan_folder as check_scan_folder,
     class_index as class_index,
     explain_empty_scan as explain_empty_scan,
+    frame_files as frame_files,
     has_finished_parts as has_finished_parts,
     load_part as load_part,
     move_products as move_products,
     name_frames as name_frames,
+    open_accumulated as open_accumulated,
+    open_table as open_table,
     output_errors as output_errors,
     part_path as part_path,
     point_styles as point_styles,
     present_products as present_products,
     report_frame as report_frame,
     save_part as save_part,
+    sector_rows as sector_rows,
+    write_frame as write_frame,
     write_scan_manifest as write_scan_manifest,
 )
 from .tile_table import (
@@ -169,5 +162,6 @@ from .tile_table import (
 )
 from .vector import (
     GeoJsonCoordinates as GeoJsonCoordinates,
+    label as label,
     outline_of as outline_of,
 )

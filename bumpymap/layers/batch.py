@@ -19,7 +19,7 @@ from bumpymap.core import (
     write_together,
 )
 from bumpymap.layers.manifest import MANIFEST_NAME, read_manifest
-from bumpymap.layers.map_files import open_layer
+from bumpymap.layers.map_reader import open_layer
 from bumpymap.layers.products import COLLECTION_NAME, MapFile, require_folder
 from bumpymap.layers.stac import write_collection
 

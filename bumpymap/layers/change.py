@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, Band
 from bumpymap.layers._cog import write_array
-from bumpymap.layers.map_files import require_written
-from bumpymap.layers.map_reader import MapReader, common_window, open_map
+from bumpymap.layers.map_reader import MapReader, common_window, open_map, require_written
 from bumpymap.layers.placement import Placement, RasterSpec
 from bumpymap.layers.products import MapFile
-from bumpymap.layers.regions import trace_all
-from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
+from bumpymap.layers.vector import GeoJsonCoordinates, feature, trace_all, write_features
 from bumpytiles import TileWindow
 
 _COMPARED_BANDS = ("c_r", "c_r_low", "c_r_high", "density", "coverage")

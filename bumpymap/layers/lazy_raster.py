@@ -14,7 +14,7 @@ from xarray.backends import BackendArray
 from xarray.core import indexing
 
 from bumpymap.core import BadInputError
-from bumpymap.layers.map_files import reading_raster
+from bumpymap.layers.map_reader import reading_raster
 
 
 class _ValuesOnDisk(BackendArray):  # type: ignore[misc]  # mypy does not read xarray

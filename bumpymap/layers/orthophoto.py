@@ -17,7 +17,7 @@ from bumpymap.core import (
     Orthophoto,
     raster_statement,
 )
-from bumpymap.layers.map_files import open_layer
+from bumpymap.layers.map_reader import open_layer
 from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import Bounds
 

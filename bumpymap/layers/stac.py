@@ -14,7 +14,7 @@ import shapely
 from pyproj import CRS
 
 from bumpymap.core import BadInputError, atomic, escape_controls, read_record, stated_crs
-from bumpymap.layers.map_files import open_layer
+from bumpymap.layers.map_reader import open_layer
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import COLLECTION_NAME, EVERY_NAME, EVERY_VIEW_NAME, MapFile
 from bumpymap.layers.vector import GeoJsonCoordinates

@@ -1,13 +1,60 @@
 // From the points of a tile to its pixels: heights, their spread, and relief. Ours; see measure.cpp for the whole.
+// Planes through points, too, and how RANSAC (Fischler and Bolles 1981) draws them.
 #pragma once
 
+#include <bit>
 #include <optional>
 
 #include "bumpymap/core/fill_holes.hpp"
-#include "bumpymap/core/planes.hpp"
 #include "bumpymap/patches/sums.hpp"
 
 namespace bumpy {
+
+// Unit normal (a, b, c), upward, and d of a x + b y + c z + d = 0; all zero where there is no plane.
+struct Plane {
+    double a = 0.0, b = 0.0, c = 0.0, d = 0.0;
+
+    bool is_found() const { return a != 0.0 || b != 0.0 || c != 0.0; }
+
+    double above(double x, double y, double z) const { return a * x + b * y + c * z + d; }
+};
+
+// Coordinates of points around zero, m.
+template <class Number>
+struct CentredPoints {
+    Array<const Number> x, y, z;
+
+    Index size() const { return x.size(); }
+
+    CentredPoints slice(Index first, Index last) const {
+        return {x.slice(first, last), y.slice(first, last), z.slice(first, last)};
+    }
+};
+
+// Twice the least area that the three points of a candidate must span, m^2.
+constexpr double least_area = 2e-3;
+// Accepted probability that no candidate was drawn from inliers alone.
+constexpr double miss_probability = 1e-4;
+
+// The plane through three points; none where they are nearly on a line.
+inline Plane plane_through(const CentredPoints<double>& points, Index i, Index j, Index k) {
+    const auto& [x, y, z] = points;
+    const double ux = x[j] - x[i], uy = y[j] - y[i], uz = z[j] - z[i];
+    const double vx = x[k] - x[i], vy = y[k] - y[i], vz = z[k] - z[i];
+    double a = uy * vz - uz * vy, b = uz * vx - ux * vz, c = ux * vy - uy * vx;
+    double length = std::sqrt(a * a + b * b + c * c);
+    if (length < least_area) return {};
+    if (c < 0.0) length = -length;
+    a /= length;
+    b /= length;
+    c /= length;
+    return {a, b, c, -(a * x[i] + b * y[i] + c * z[i])};
+}
+
+// Draws of which one likely has inliers alone, or `most`; `clean` is the chance that a draw has: over 0, below 1.
+inline Index draws_needed(double clean, Index most) {
+    return std::min(most, 1 + static_cast<Index>(std::log(miss_probability) / std::log(1.0 - clean)));
+}
 
 constexpr float unknown_height = std::numeric_limits<float>::quiet_NaN();
 
@@ -182,6 +229,14 @@ inline double fill_relief(Array<double, 2> level, Index depth, bool is_complete,
     }
     for (Index k = 0; k < level.count(); ++k) relief.data[k] = static_cast<float>(level.data[k]);
     return high - low;
+}
+
+// Share of nine parts, a bit each, row by row, that hold a point; 0 if four that form a square hold none.
+inline double share_of_parts(int seen) {
+    constexpr int square = 0b000011011;
+    for (const int corner : {0, 1, 3, 4})
+        if ((seen & (square << corner)) == 0) return 0.0;
+    return std::popcount(static_cast<unsigned>(seen)) / 9.0;
 }
 
 }  // namespace bumpy

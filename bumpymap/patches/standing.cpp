@@ -5,7 +5,6 @@
 #include <numbers>
 
 #include "bumpymap/patches/heightmap.hpp"
-#include "bumpymap/patches/nine_parts.hpp"
 #include "bumpymap/patches/offsets.hpp"
 #include "bumpytiles/bindings.hpp"
 

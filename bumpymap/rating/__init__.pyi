@@ -1,21 +1,15 @@
-from .beside_steps import (
-    rate_beside_steps as rate_beside_steps,
-)
 from .calibration import (
     Calibration as Calibration,
     DrivenTerrain as DrivenTerrain,
     find_calibration as find_calibration,
     shipped_calibrations as shipped_calibrations,
 )
-from .cost import (
-    rate as rate,
-    rate_as_paper as rate_as_paper,
-)
 from .drive_update import (
     DriveUpdate as DriveUpdate,
     update_from_drives as update_from_drives,
 )
 from .passable import (
+    ZoneFinder as ZoneFinder,
     close_split_tiles as close_split_tiles,
     find_passable as find_passable,
     free_areas as free_areas,
@@ -27,16 +21,6 @@ from .ride.correction import (
     fail_features as fail_features,
     ride_features as ride_features,
     subtract_noise as subtract_noise,
-)
-from .ride.ground_power import (
-    Strength as Strength,
-    find_strengths as find_strengths,
-)
-from .ride.line import (
-    felt_along as felt_along,
-    match_noise as match_noise,
-    roll_wheels as roll_wheels,
-    smooth_over as smooth_over,
 )
 from .ride.motion_operator import (
     MotionOperator as MotionOperator,
@@ -55,6 +39,11 @@ from .ride.rate import (
     DRIVE_LOG_SD as DRIVE_LOG_SD,
     RideModel as RideModel,
     denoise as denoise,
+    felt_along as felt_along,
+    match_noise as match_noise,
+    remove_plane as remove_plane,
+    roll_wheels as roll_wheels,
+    smooth_over as smooth_over,
 )
 from .ride.speed import (
     QUANTITIES as QUANTITIES,
@@ -73,9 +62,11 @@ from .ride.thin import (
     THIN_COLUMNS as THIN_COLUMNS,
     THIN_RING as THIN_RING,
     BlockRating as BlockRating,
+    Strength as Strength,
     ThinModel as ThinModel,
     dense_share as dense_share,
     fail_terms as fail_terms,
+    find_strengths as find_strengths,
     is_rateable as is_rateable,
     log_points as log_points,
     rate_thin as rate_thin,
@@ -91,6 +82,7 @@ from .steps import (
     crossing_fails as crossing_fails,
     edge_usable as edge_usable,
     find_steps as find_steps,
+    rate_beside_steps as rate_beside_steps,
 )
 from .textures import (
     FEATURE_VERSION as FEATURE_VERSION,
@@ -99,20 +91,16 @@ from .textures import (
     classify as classify,
     measures_of as measures_of,
     normalise as normalise,
-    remove_plane as remove_plane,
-)
-from .vehicle_body import (
-    less_floor as less_floor,
-    with_floor as with_floor,
+    rate as rate,
+    rate_as_paper as rate_as_paper,
 )
 from .vehicle_profile import (
     KEYS as KEYS,
     Vehicle as Vehicle,
     estimated_values as estimated_values,
     flat_profile as flat_profile,
+    less_floor as less_floor,
     shipped_profiles as shipped_profiles,
+    with_floor as with_floor,
     write_profile_template as write_profile_template,
-)
-from .zones import (
-    ZoneFinder as ZoneFinder,
 )

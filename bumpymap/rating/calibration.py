@@ -28,8 +28,7 @@ from bumpymap.core import (
     shape_fault,
     short_repr,
 )
-from bumpymap.rating.vehicle_body import with_floor
-from bumpymap.rating.vehicle_profile import Vehicle, flat_profile
+from bumpymap.rating.vehicle_profile import Vehicle, flat_profile, with_floor
 
 T = TypeVar("T")
 

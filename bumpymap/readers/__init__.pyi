@@ -2,9 +2,6 @@ from .decoder import (
     close_decoder as close_decoder,
     start_decoder as start_decoder,
 )
-from .deskewing import (
-    deskew as deskew,
-)
 from .detect import (
     find_surveys as find_surveys,
     identity as identity,
@@ -48,6 +45,7 @@ from .raw_scans import (
 from .scans import (
     BagTopics as BagTopics,
     bags_at as bags_at,
+    deskew as deskew,
     find_frames as find_frames,
     find_sources as find_sources,
     label_file as label_file,

@@ -1,4 +1,4 @@
-// Moves the points of a scan to where the sensor sees them at the time of the frame; see deskewing.py. Between two
+// Moves the points of a scan to where the sensor sees them at the time of the frame; see scans.py. Between two
 // transforms a point moves along a line.
 #include <algorithm>
 

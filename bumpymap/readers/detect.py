@@ -6,7 +6,6 @@ import os
 from codecs import getincrementaldecoder
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,7 +17,7 @@ from bumpymap.readers.protocol import ReadOptions, SurveyReader
 from bumpymap.readers.source import EPT_NAME, Location, open_source, pinned_version, read_range, version_of
 
 if TYPE_CHECKING:
-    from bumpymap.readers.point_table import PointTable, Wanted
+    from bumpymap.readers.point_table import Wanted
 
 _log = logging.getLogger(__name__)
 
@@ -72,7 +71,7 @@ def reopen_survey(path: Location, options: ReadOptions = ReadOptions()) -> Surve
         return RasterSurvey(path, options)
     from bumpymap.readers.point_table import TableSurvey
 
-    return TableSurvey(path, options, partial(_open_table, kind))
+    return TableSurvey(path, options, kind)
 
 
 def identity(location: Location) -> dict[str, Any]:
@@ -86,16 +85,6 @@ def identity(location: Location) -> dict[str, Any]:
         starts = (0, max(version["size"] - _HEAD_BYTES, 0))
         ends = [read_range(location, start, _HEAD_BYTES).tobytes() for start in starts]
     return {**version, "digest": hashlib.sha256(b"".join(ends)).hexdigest()}
-
-
-def _open_table(kind: Kind, path: Location, wanted: "Wanted", memory: int, text_type: Any = None) -> "PointTable":
-    if kind == "ply":
-        from bumpymap.readers.ply import PlyTable
-
-        return PlyTable(path, wanted)
-    from bumpymap.readers.pcd import PcdTable
-
-    return PcdTable(path, wanted, memory, text_type)
 
 
 def read_columns(path: Path, wanted: "Wanted") -> dict[str, NDArray[Any]]:
@@ -112,7 +101,9 @@ def read_columns(path: Path, wanted: "Wanted") -> dict[str, NDArray[Any]]:
             f"{path} is a survey ({kind.upper()}) and not a scan of a robot; scans are PLY, PCD or KITTI-style .bin "
             "files. Map a survey with: bumpymap map"
         )
-    table = _open_table(kind, path, wanted, ReadOptions().memory, np.float64)
+    from bumpymap.readers.point_table import open_table
+
+    table = open_table(kind, path, wanted, ReadOptions().memory, np.float64)
     rows = table.whole()
     return {what: rows[name] for what, name in table.info.find(wanted).items()}
 

@@ -1,17 +1,22 @@
-"""Tables of points with named columns (PLY and PCD), for surveys and for scans."""
+"""The readers of PLY and PCD files, tables of points with named columns, for surveys and for scans.
+
+Text and binary are read in chunks; compressed PCD files are unpacked as a whole by pypcd4.
+"""
 
 import io
+import struct
 import warnings
 from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import islice
-from typing import Any, ClassVar
+from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, CrsStatement, Floats, Place, PointCloud, georeference
+from bumpymap.core import PLY_TYPES, BadInputError, CrsStatement, Floats, Place, PointCloud, georeference
 from bumpymap.readers.point_stats import PointStats
 from bumpymap.readers.protocol import (
     CHUNK_POINTS,
@@ -23,7 +28,7 @@ from bumpymap.readers.protocol import (
     refuse_coarse,
     split_rows,
 )
-from bumpymap.readers.source import Location, decoding, open_source, read_range, refuse_count
+from bumpymap.readers.source import Location, decoding, open_source, read_range, refuse_count, refuse_points
 from bumpytiles import DECIMALS
 
 _BLOCK = 100_000
@@ -217,16 +222,14 @@ class PointTable:
 class TableSurvey(SurveyReader):
     """A survey in a table. These formats have neither CRS nor units: metres are assumed, unless ``--crs`` is given."""
 
-    def __init__(
-        self, path: Location, options: ReadOptions, open_table: Callable[[Location, Wanted, int], PointTable]
-    ) -> None:
-        self._open_table = open_table
+    def __init__(self, path: Location, options: ReadOptions, kind: str) -> None:
+        self._kind = kind
         super().__init__(path, options)
 
     def _open(self, options: ReadOptions) -> SurveyInfo:
         self._kinds = options.kinds
         wanted = _CLASSES | (_COLOURS if options.colour else {})
-        self._table = table = self._open_table(self._path, wanted, options.memory)
+        self._table = table = open_table(self._kind, self._path, wanted, options.memory)
         head, names = table.info, table.info.find(wanted)
         self._colours = [names[name] for name in _COLOURS if name in names]
         if len(self._colours) < len(_COLOURS) or any(head.types[name].kind not in "ui" for name in self._colours):
@@ -287,3 +290,271 @@ class TableSurvey(SurveyReader):
             shift = 8 * (self._table.info.types[name].itemsize - 1)
             colour = colour << np.uint32(8) | (np.asarray(rows[name]).astype(np.int64) >> shift & 255).astype(np.uint32)
         return colour
+
+
+_PLY_LINE, _PLY_HEADER = 4096, 4096
+"""Bytes of a line, and lines of a header, at most. Chosen: several times those of any program's files."""
+_AXES = "xyz"
+_BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
+
+
+@dataclass(frozen=True, slots=True)
+class PlyElement:
+    """An element as declared in the header."""
+
+    name: str
+    count: int
+    properties: dict[str, str | None] = field(default_factory=dict)
+    """Name -> NumPy type code of its values, without byte order; None for a list. Lists make rows differ in size."""
+
+    @property
+    def lists(self) -> list[str]:
+        """Names of the properties that are lists."""
+        return [name for name, code in self.properties.items() if code is None]
+
+    def dtype(self, byte_order: str) -> np.dtype[np.void]:
+        """Return the dtype of its rows, without lists."""
+        return np.dtype([(name, byte_order + code) for name, code in self.properties.items() if code is not None])
+
+
+def _ply_lines(stream: BinaryIO, path: Location) -> tuple[list[bytes], int]:
+    """Return the lines of the header without comments, and the offset of its end."""
+    lines: list[bytes] = []
+    while len(lines) < _PLY_HEADER:
+        line = stream.readline(_PLY_LINE)
+        if not line:
+            break
+        line = line.strip()
+        if line and not line.startswith((b"comment", b"obj_info")):
+            lines.append(line)
+        if line == b"end_header":
+            return lines, stream.tell()
+    raise BadInputError(f"the header of {path} has no end (no line 'end_header'): truncated? Copy or download it again")
+
+
+def _parse_ply(lines: list[str]) -> tuple[str, list[PlyElement]]:
+    """Return encoding and elements; raise ValueError if the lines are not a PLY header."""
+    if len(lines) < 2 or lines[0] != "ply":
+        raise ValueError("its first line is not 'ply'")
+    match lines[1].split():
+        case ["format", encoding, "1.0"] if encoding in _BYTE_ORDERS:
+            pass
+        case _:
+            raise ValueError(f"{lines[1]!r} is not a PLY format; allowed are: {', '.join(_BYTE_ORDERS)}, each 1.0")
+    elements: list[PlyElement] = []
+    for line in lines[2:-1]:
+        match line.split():
+            case ["element", name, count] if count.isdecimal():
+                known: Iterable[str] = [other.name for other in elements]
+                elements.append(PlyElement(name, int(count)))
+            case ["property", *words] if elements:
+                name, code = _property(words, line)
+                known = list(elements[-1].properties)
+                elements[-1].properties[name] = code
+            case _:
+                raise ValueError(f"{line!r} is neither an element with a count nor a property of one")
+        if name in known:
+            raise ValueError(f"{line!r} declares the name {name} a second time")
+    return encoding, elements
+
+
+def _property(words: list[str], line: str) -> tuple[str, str | None]:
+    """Return the name, and the type code of the values; None for a list."""
+    match words:
+        case [kind, name] if kind in PLY_TYPES:
+            return name, PLY_TYPES[kind]
+        case ["list", length, kind, name] if {length, kind} <= set(PLY_TYPES):
+            return name, None
+    raise ValueError(
+        f"{line!r} is neither 'property TYPE NAME' nor 'property list TYPE TYPE NAME'; the types are "
+        f"{', '.join(PLY_TYPES)}"
+    )
+
+
+class PlyTable(PointTable):
+    """A PLY file. Text is read as float64 whatever the header declares, since it may have more digits than a float32.
+
+    ``wanted``: see `Wanted`. Raises BadInputError: not a PLY header, without vertex element or x, y
+    and z, or with more than the file can hold.
+    """
+
+    nan_is_no_return, searched = False, 1000
+
+    def __init__(self, path: Location, wanted: Wanted) -> None:
+        with open_source(path) as stream, decoding(path, "the header"):
+            lines, data_at = _ply_lines(stream, path)
+            encoding, elements = _parse_ply([line.decode("ascii") for line in lines])
+            size = stream.seek(0, io.SEEK_END)
+        vertex = _vertices(path, elements)
+        before, is_text, order = elements[: elements.index(vertex)], encoding == "ascii", _BYTE_ORDERS[encoding]
+        _refuse_lists(path, vertex, [] if is_text else before)
+        room = size - data_at
+        for element in (*before, vertex):
+            row = element.dtype(order)
+            least = max(2 * len(element.properties) - 1 if is_text else row.itemsize, 1)
+            held = max(room // least, 0)
+            if element is vertex:
+                refuse_points(path, element.count, held)
+            else:
+                refuse_count(path, element.count, held, f"'{element.name}'")
+            room -= element.count * least
+        types = " ".join(dict.fromkeys(row[name].name for name in row.names or () if name.lower() in _AXES))
+        kind = f"PLY, {encoding.replace('_', ' ')}, {types}"
+        info = TableInfo(kind, size, vertex.count, row, 24 if is_text else row.itemsize, is_text)
+        if not is_text:
+            data_at += sum(element.count * element.dtype(order).itemsize for element in before)
+        skipped = sum(element.count for element in before)
+        super().__init__(path, info, data_at, wanted, skipped=skipped, text_type=np.float64)
+
+
+def _vertices(path: Location, elements: list[PlyElement]) -> PlyElement:
+    """Return the element of the vertices; refuse one without points or without x, y and z."""
+    vertex = next((head for head in elements if head.name.lower() in {"vertex", "vertices"}), None)
+    if vertex is None:
+        held = ", ".join(head.name for head in elements) or "nothing"
+        raise BadInputError(f"{path} is a PLY file without a 'vertex' element (it holds {held}): no points to map")
+    refuse_missing_axes(path, [name for name, code in vertex.properties.items() if code is not None])
+    return vertex
+
+
+def _refuse_lists(path: Location, vertex: PlyElement, before: list[PlyElement]) -> None:
+    """Refuse lists in the vertices, or before them, where rows must be of one size."""
+    listed = [head for head in (*before, vertex) if head.lists]
+    if listed:
+        where = "" if listed[0] is vertex else f" of its element '{listed[0].name}', before its vertices,"
+        raise BadInputError(
+            f"{path} has lists ({', '.join(listed[0].lists)}){where} and is not read: rows of vertices must be of one "
+            "size and come before lists. Export it again with vertices first, and without lists in them"
+        )
+
+
+_PCD_LINE, _PCD_HEADER = 65_536, 200
+"""Bytes of a line and lines of a header at most. Chosen: several times those of any program's files."""
+_NO_POSE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+"""Translation [m] and quaternion (w, x, y, z) of a VIEWPOINT that says nothing."""
+_DENSEST = 100
+"""Compression ratio at most: LZF packs 264 bytes into 3 at best."""
+_PLAUSIBLE, _SMALL = 20, 1 << 28
+"""Compression ratio of clouds at most (two to four are usual), and the unpacked bytes up to which more is accepted."""
+_MOST_VALUES = 10_000
+"""Values of a point at most; no point descriptor is longer."""
+_UNPACKED_COPIES, _PACKED_COPIES = 2, 3
+"""Number of copies of the unpacked and packed bytes in memory while a compressed file is unpacked."""
+
+
+class PcdTable(PointTable):
+    """A PCD file, in metres. A row with NaN is a beam without return, and is dropped.
+
+    ``wanted``: see `Wanted`; ``memory``: memory limit for unpacking, bytes; ``text_type``: type of
+    the numbers of a text file; None: as declared in the header.
+    """
+
+    nan_is_no_return, searched = True, 100_000
+
+    def __init__(
+        self, path: Location, wanted: Wanted, memory: int, text_type: type[np.float64] | None = None
+    ) -> None:  # fmt: skip
+        with decoding(path, "the header"), open_source(path) as stream:
+            size = stream.seek(0, io.SEEK_END)
+            stream.seek(0)
+            self._head = head = _read_pcd_header(stream, path)
+            data_at = stream.tell()
+            row: np.dtype[np.void] = head.build_dtype()
+            refuse_missing_axes(path, row.names or ())
+            _refuse_size(stream, path, head, size - data_at, memory)
+        is_text = head.data.value == "ascii"
+        pose_note = ("its header gives the pose of the sensor (VIEWPOINT), which is not applied",)
+        notes = pose_note if head.viewpoint != _NO_POSE else ()
+        kind = f"PCD {head.version}, {head.data.value}"
+        info = TableInfo(kind, size, head.points, row, row.itemsize, is_text, notes)
+        super().__init__(path, info, data_at, wanted, text_type=text_type)
+
+    @property
+    def sequential(self) -> bool:
+        """See ``PointTable.sequential``."""
+        return bool(self._head.data.value != "binary")
+
+    def rows(self, first: int, count: int) -> Any:
+        """See ``PointTable.rows``."""
+        if self._head.data.value in {"ascii", "binary"}:
+            return super().rows(first, count)
+        return self._unpacked[first : first + count]
+
+    @cached_property
+    def _unpacked(self) -> NDArray[np.void]:
+        """All rows; cached, since they are compressed column by column."""
+        import pypcd4
+
+        with decoding(self.path, "the points"), open_source(self.path) as stream:
+            stream.seek(self._data_at)
+            # Pass the header that was checked, not that of the file, which pypcd4 might parse differently.
+            whole = io.BytesIO(self._head.compose_header().encode() + stream.read())
+            rows: NDArray[np.void] = pypcd4.PointCloud.from_fileobj(whole).pc_data
+            return rows
+
+
+def _read_pcd_header(stream: BinaryIO, path: Location) -> Any:
+    import pypcd4  # slow to load
+
+    lines: list[str] = []
+    for _ in range(_PCD_HEADER):
+        line = stream.readline(_PCD_LINE).decode("utf-8", "replace").strip()
+        lines.append(line)
+        if line.startswith("DATA"):
+            break
+    else:
+        raise BadInputError(f"the header of {path} has no DATA line: truncated? Copy or download it again")
+    if not any(line.startswith("COUNT") for line in lines):
+        # The line is optional: one value for each field.
+        fields = next((len(line.split()) - 1 for line in lines if line.startswith("FIELDS")), 0)
+        lines.insert(-1, "COUNT " + " ".join(["1"] * fields))
+    head = pypcd4.MetaData.parse_header(lines)
+    if not len(head.fields) == len(head.size) == len(head.type) == len(head.count):
+        raise BadInputError(f"the header of {path} has FIELDS, SIZE, TYPE and COUNT of different length")
+    if sum(head.count) > _MOST_VALUES:
+        raise BadInputError(
+            f"the header of {path} declares {sum(head.count):,} values per point (COUNT); at most {_MOST_VALUES:,} are "
+            "read. The file is damaged; export it again"
+        )
+    return head
+
+
+def _refuse_size(stream: BinaryIO, path: Location, head: Any, room: int, memory: int) -> None:
+    """Check the declared point count against the size of the file and the memory, before any is allocated for it."""
+    row = head.build_dtype().itemsize
+    if head.data.value == "ascii":
+        refuse_points(path, head.points, (room + 1) // (2 * sum(head.count)))
+    elif head.data.value == "binary":
+        refuse_points(path, head.points, room // row)
+    else:
+        packed, unpacked = struct.unpack("<II", stream.read(8)) if room >= 8 else (0, 0)
+        refuse_count(path, packed, max(room - 8, 0), "bytes of packed points")
+        refuse_count(path, unpacked, _DENSEST * packed, "bytes of unpacked points")
+        refuse_points(path, head.points, unpacked // row)
+        if unpacked != head.points * row:
+            raise BadInputError(
+                f"{path} declares {unpacked:,} bytes of unpacked points, and {head.points:,} points of {row} bytes. "
+                "The file is damaged: copy or download it again"
+            )
+        needed = _UNPACKED_COPIES * unpacked + _PACKED_COPIES * packed
+        remedy = (
+            "Write it uncompressed (DATA binary), which is read in chunks: pcl_convert_pcd_ascii_binary IN.pcd OUT.pcd "
+            "1"
+        )
+        if needed > memory:
+            raise BadInputError(
+                f"{path} is compressed, so it must be unpacked as a whole, which needs {needed / 1e6:,.0f} MB; "
+                f"{memory / 1e6:,.0f} MB are available. {remedy}; or raise `memory`"
+            )
+        if unpacked > max(_SMALL, _PLAUSIBLE * packed):
+            raise BadInputError(
+                f"{path} would unpack to {unpacked / 1e6:,.0f} MB, {unpacked / packed:,.0f} times its size, which no "
+                f"cloud of different points does: it may be damaged, or made to fill the memory. {remedy}"
+            )
+
+
+def open_table(
+    kind: str, path: Location, wanted: Wanted, memory: int, text_type: type[np.float64] | None = None
+) -> PointTable:
+    """Open a file by its format, ``ply`` or ``pcd``; see `PlyTable` and `PcdTable`."""
+    return PlyTable(path, wanted) if kind == "ply" else PcdTable(path, wanted, memory, text_type)

@@ -21,9 +21,16 @@ from bumpymap.core import (
 )
 from bumpymap.layers import STEP_LINE, MapReader, tiles_in
 from bumpymap.route.places import in_window, on_grid
-from bumpymap.route.search import BYTES_PER_TILE, BYTES_PER_TILE_BY_HEADING, BYTES_PER_TILE_BY_SLOPE, find_way
+from bumpymap.route.search import (
+    BYTES_PER_TILE,
+    BYTES_PER_TILE_BY_HEADING,
+    BYTES_PER_TILE_BY_SLOPE,
+    Costs,
+    as_cost,
+    find_way,
+    is_clear,
+)
 from bumpymap.route.settings import CostSettings
-from bumpymap.route.straighten import Costs, as_cost, is_clear
 from bumpytiles import Grid, TileWindow
 
 _STRIP = 256

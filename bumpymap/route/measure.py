@@ -30,8 +30,8 @@ from bumpymap.core import (
 from bumpymap.layers import MapReader
 from bumpymap.route.ground import TOUCHING, CostGround, points_along, sample_line, stretches, window_around
 from bumpymap.route.places import in_window
+from bumpymap.route.search import as_costs, trace
 from bumpymap.route.stops import place_text
-from bumpymap.route.straighten import as_costs, trace
 
 _STRETCH_TILES = 128
 """Longest stretch of a way whose window is read at once, tiles (chosen)."""

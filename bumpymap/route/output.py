@@ -106,16 +106,12 @@ def write_route(
         _log.warning(notes[0])
     spot = Placement(route.georeference, route.grid, window_around(route, _AROUND_M))
     writers |= view_writers(route_layers(route), spot, source, out, "ways")
-    head = {"format": "bumpymap-route", "version": 1, **manifest, **_describe_layers(source)}
+    layers = {"path": str(source.folder), "run_sha256": describe_file(source.folder / MANIFEST_NAME)["sha256"]}
+    of_map = source.manifest
+    kept = {name: of_map[name] for name in ("vehicle", "calibration", "cost", "crs") if name in of_map}
+    head = {"format": "bumpymap-route", "version": 1, **manifest, "layers": [layers], **kept}
     head |= {"routes": [_describe(route, place)], "notes": notes, "versions": software_versions()}
     return ROUTE_FILES.write(out, writers, lambda _, files: head | {"files": files}, overwrite=overwrite)
-
-
-def _describe_layers(source: MapReader) -> dict[str, Any]:
-    """Return the layers that a route was planned on: their folder, the checksum of run.json, the calibration."""
-    layers = {"path": str(source.folder), "run_sha256": describe_file(source.folder / MANIFEST_NAME)["sha256"]}
-    kept = "vehicle", "calibration", "cost", "crs"
-    return {"layers": [layers], **{name: source.manifest[name] for name in kept if name in source.manifest}}
 
 
 def _describe(route: Route, place: GeoJsonCoordinates) -> dict[str, Any]:

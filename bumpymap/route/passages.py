@@ -19,7 +19,7 @@ from scipy.sparse import csgraph
 from bumpymap.core import Floats, axis_values, slope_cost
 from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.places import on_grid, overlap
-from bumpymap.route.straighten import as_cost
+from bumpymap.route.search import as_cost
 from bumpytiles import TileWindow
 
 _PAD_TILES, _PAD_SHARE = 24, 0.25

@@ -32,7 +32,7 @@ from bumpymap.layers import open_map, read_areas
 from bumpymap.route.ground import CostGround
 from bumpymap.route.line_ride import with_line_ride
 from bumpymap.route.measure import measure_straight_line
-from bumpymap.route.planner import Planner
+from bumpymap.route.planner import Planner, name_zones, what_closes
 from bumpymap.route.search import MOST_TILES
 from bumpymap.route.settings import CostSettings, RouteBy, RouteConfig
 from bumpymap.route.stops import Stops, find_stops
@@ -242,8 +242,6 @@ def _route(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[Route
     points = stops.points
     way = planner.way(points)
     if way is None:
-        from bumpymap.route.no_way import name_zones, what_closes  # slow to load
-
         legs = zip(pairwise(points), pairwise(stops.names), strict=True)
         ends, (first, second) = next((ends, names) for ends, names in legs if planner.line(*ends) is None)
         unknown = "cross unknown ground with `unknown=COST`, " if config.cost.unknown is None else ""

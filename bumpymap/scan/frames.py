@@ -29,9 +29,9 @@ from bumpymap.layers import (
 )
 from bumpymap.readers import BagReader, NoPointsError, deskew, read_message, read_scan
 from bumpymap.scan.cells import FrameView, GroundMemory, SeenCells, see_cells
+from bumpymap.scan.classifier import Method
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.merge import place_points
-from bumpymap.scan.methods import Method
 from bumpymap.views import write_picture
 from bumpytiles import run_blocks
 

@@ -69,10 +69,10 @@ from bumpymap.readers import (
     label_file,
     place_sources,
 )
+from bumpymap.scan.classifier import Method, choose_method
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.frames import FrameReader, FrameWork, frame_products, staging_folder
 from bumpymap.scan.merge import DriveMerge
-from bumpymap.scan.methods import Method, choose_method
 from bumpymap.scan.pose_checks import WrongPosesError
 from bumpymap.scan.registration import require_registration
 from bumpymap.views import check_bag_file, write_grid_bag

@@ -35,6 +35,6 @@ from .inputs import (
     read_options as read_options,
 )
 from .pipeline import (
+    MapResult as MapResult,
     map_surveys as map_surveys,
 )
-from .run_record import MapResult as MapResult

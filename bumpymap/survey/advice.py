@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bumpymap.core import REASON_TEXT, THIN_POINTS, FeatureSettings, MapConfig, Reason, TooUnknownError
-from bumpymap.survey.run_record import MapResult
+from bumpymap.survey.pipeline import MapResult
 
 Measured = Literal["points", "ground points", "ground points (found by the cloth)"]
 _FEW_UNKNOWN = 0.1

@@ -2,10 +2,6 @@ from .export.gridmap import (
     check_bag_file as check_bag_file,
     write_grid_bag as write_grid_bag,
 )
-from .export.settings import (
-    ExportFormat as ExportFormat,
-    ExportSettings as ExportSettings,
-)
 from .export.write import (
     Export as Export,
     export_map as export_map,

@@ -12,7 +12,8 @@ from pathlib import Path
 from playwright.sync_api import sync_playwright
 
 import bumpymap
-from bumpymap.check import CheckConfig, run_check
+from bumpymap.check import run_check
+from bumpymap.core import CheckConfig
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLES = ROOT / "sample_data"

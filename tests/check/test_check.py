@@ -15,13 +15,13 @@ from scipy.stats import spearmanr
 from small_surveys import run
 from tile_maps import MadeUpMap
 
-from bumpymap.check import CheckConfig, check_drives
+from bumpymap.check import check_drives
 from bumpymap.check.inertial import even_imu
 from bumpymap.check.measure import find_standing, measure_drive, rough_speed
 from bumpymap.check.pipeline import agreement_of, write_check
 from bumpymap.check.places import local_metres, metre_places, places_on_map
 from bumpymap.check.stretches import cut_stretches
-from bumpymap.core import BadInputError, ImuTrack, PlaceTrack, UsageError, WheelTrack
+from bumpymap.core import BadInputError, CheckConfig, ImuTrack, PlaceTrack, UsageError, WheelTrack
 from bumpymap.layers.products import CHECK_FILES, CHECK_MANIFEST_NAME
 from bumpymap.rating import less_floor
 from bumpytiles import TileWindow

@@ -16,7 +16,7 @@ from bumpymap.cli import lab_commands
 from bumpymap.cli.check_command import prepare_refit, refit_lines, write_refit
 from bumpymap.core import BadInputError, OutputError, UsageError, install_command
 from bumpymap.lab.settings import CalibrationSettings
-from bumpymap.lab.simulate import calibrate as calibrate_module, classes, refit
+from bumpymap.lab.simulate import calibrate as calibrate_module, refit
 from bumpymap.lab.simulate.drive import PatchDrives
 from bumpymap.lab.simulate.motion_fit import MotionRecord
 from bumpymap.lab.terrains import KINDS
@@ -121,7 +121,7 @@ def fake_drives(monkeypatch):
 
     monkeypatch.setattr(calibrate_module, "run_job", drive)
     monkeypatch.setattr(refit, "fit_ride", lambda *_: (ride := Correction.from_record(WARTHOG.ride), [ride] * 2))
-    monkeypatch.setattr(classes, "_LIBRARIES", 2)
+    monkeypatch.setattr(refit, "_LIBRARIES", 2)
     monkeypatch.setattr(refit, "fit_thin_surveys", lambda *_: WARTHOG.thin)
 
 

@@ -48,7 +48,7 @@ def reached(monkeypatch, tmp_path):
 
     # Modules that bind a patched name are imported before it is patched, or they would keep it.
     import bumpymap.readers
-    import bumpymap.survey.batch.source
+    import bumpymap.survey.batch.run
     import bumpymap.survey.engine
     import bumpymap.survey.pipeline
     from bumpymap.cli import lab_commands

@@ -26,14 +26,13 @@ from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.layers import SurveyRow
 from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.placement import MAX_PIXELS, MAX_TILES
-from bumpymap.layers.scan_files import COLUMNS
-from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
+from bumpymap.layers.scan_folder import COLUMNS, SCAN_CLASS_NAMES, SCAN_COLOURS
 from bumpymap.rating import Vehicle
 from bumpymap.readers import parse_columns
 from bumpymap.readers.drive_signals import NAMES, QUANTITIES, UNITS
 from bumpymap.scan.config import SCAN_PRODUCTS, ScanConfig
 from bumpymap.scan.pipeline import scan_frames
-from bumpymap.survey.batch.source import list_surveys
+from bumpymap.survey.batch.run import list_surveys
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "pages"

@@ -7,8 +7,7 @@ from pyproj import CRS
 
 from bumpymap.core import CANOPY, FREE, OBSTACLE, SIDES, UNSEEN, CostTable, ObjectStack
 from bumpymap.core.types import NO_CLASS, CostMap, CostRule, Georeference, PatchStack, Reason
-from bumpymap.layers.regions import dissolve
-from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
+from bumpymap.layers.vector import GeoJsonCoordinates, dissolve, flatgeobuf_writer, geojson_writer
 from bumpytiles import Grid, TileTable
 
 UTM = CRS.from_epsg(32614)

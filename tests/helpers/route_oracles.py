@@ -8,7 +8,7 @@ import shapely
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from bumpymap.route.straighten import Costs
+from bumpymap.route.search import Costs
 
 
 def smooth_field(rng, shape, *, most=8.0, width=2, closed=0.0):

@@ -130,7 +130,7 @@ ALIKE = {"name": "survey", "checksum": "blake3:0", "dates": None}
 def alike_surveys():
     """Name, checksum and dates of all surveys mapped in this process meanwhile are ``ALIKE``."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bumpymap.survey.run_record.survey_record", lambda *_: ALIKE)
+        patch.setattr("bumpymap.survey.pipeline.survey_record", lambda *_: ALIKE)
         yield
 
 

@@ -14,7 +14,7 @@ from hypothesis import given, strategies as st
 from bumpymap.core import SilentProgress
 from bumpymap.core.errors import BumpymapError, OutputError, UsageError
 from bumpymap.lab.settings import CalibrationSettings, DriveSettings
-from bumpymap.lab.simulate import calibrate, classes, refit as refit_module
+from bumpymap.lab.simulate import calibrate, refit as refit_module
 from bumpymap.lab.simulate.drive import PatchDrives, calibrated_settings
 from bumpymap.lab.simulate.jobs import DriveJob
 from bumpymap.lab.simulate.motion_fit import SPEED_RATIOS, fit_means, motion_jobs
@@ -38,7 +38,7 @@ def test_natural_breaks_are_the_best_of_all_splits(values):
         return sum(((g - g.mean()) ** 2).sum() for g in groups)
 
     x = np.sort(values)
-    limits = classes.natural_breaks(np.array(values), 4)
+    limits = refit_module.natural_breaks(np.array(values), 4)
     found = spread(np.split(x, np.searchsorted(x, limits)))
     best = min(spread(np.split(x, cuts)) for cuts in combinations(range(1, len(x)), 3))
     assert found == pytest.approx(best, rel=1e-9, abs=1e-12)
@@ -65,22 +65,22 @@ def test_failed_drives_count_in_p_fail_and_not_in_c_r(monkeypatch):
 def test_limits_are_the_mean_of_the_breaks_of_what_can_be_crossed_and_the_roughest_hardly_move_them():
     libraries = np.array([np.repeat((0.1, 0.3, 0.6, 1.0), 10), np.repeat((0.2, 0.4, 0.7, 1.1), 10)])
     none = np.zeros_like(libraries)
-    assert classes.class_limits(libraries, none) == pytest.approx((0.25, 0.5, 0.85))
+    assert refit_module.class_limits(libraries, none) == pytest.approx((0.25, 0.5, 0.85))
     lost = (
         np.concatenate((libraries, np.full((2, 9), 5.0)), axis=1),
         np.concatenate((none, np.full((2, 9), 0.6)), axis=1),
     )
-    assert classes.class_limits(*lost) == pytest.approx((0.25, 0.5, 0.85))
+    assert refit_module.class_limits(*lost) == pytest.approx((0.25, 0.5, 0.85))
     libraries[:, -2:] = 30.0  # two of forty
-    assert classes.class_limits(libraries, none) == pytest.approx((0.25, 0.5, 0.85))
+    assert refit_module.class_limits(libraries, none) == pytest.approx((0.25, 0.5, 0.85))
 
 
 def test_vehicle_that_fails_everywhere_and_limits_too_close_together_are_refused():
     c_r = np.tile(np.linspace(0.1, 0.9, 9), (2, 1))
     with pytest.raises(BumpymapError, match="crosses 3 of 9 terrains"):
-        classes.class_limits(c_r, np.where(c_r > 0.35, 0.9, 0.0))
+        refit_module.class_limits(c_r, np.where(c_r > 0.35, 0.9, 0.0))
     with pytest.raises(BumpymapError, match="too close together"):
-        classes.class_limits(1e-4 * c_r, 0 * c_r)
+        refit_module.class_limits(1e-4 * c_r, 0 * c_r)
 
 
 def no_models(*_):
@@ -129,10 +129,10 @@ def test_real_calibration_rises_with_z_range_and_reads_back(calibration):
 
 
 def test_classes_mean_the_same_for_tiles_of_another_size(monkeypatch):
-    monkeypatch.setattr(classes, "_TERRAINS", 4)
+    monkeypatch.setattr(refit_module, "_TERRAINS", 4)
     own = Calibration.shipped("warthog", tile_size=5.0)
     ride, like = Correction.from_record(own.ride), replace(WARTHOG, class_limits=(0.05, 0.09, 0.13))
-    found, said = classes.fit_classes(calibrated_settings(own), ride, [ride, ride], like)
+    found, said = refit_module.fit_classes(calibrated_settings(own), ride, [ride, ride], like)
     assert found["class_limits"] == like.class_limits
     assert like.id in said["class_rule"]
     edges = (0.0, *like.class_limits, np.inf)
@@ -260,7 +260,7 @@ def test_shipped_calibration_is_what_this_code_makes(name):
 @pytest.mark.later
 def test_shipped_class_limits_follow_from_the_shipped_ride_model():
     ride = Correction.from_record(WARTHOG.ride)
-    found, said = classes.fit_classes(calibrated_settings(WARTHOG), ride, [ride], None)
+    found, said = refit_module.fit_classes(calibrated_settings(WARTHOG), ride, [ride], None)
     assert found["class_limits"] == pytest.approx(WARTHOG.class_limits, rel=0.006)  # of three digits
     assert found["class_c_r"] == pytest.approx(WARTHOG.class_c_r, rel=1e-3)
     assert said["class_rule"] == WARTHOG.settings["class_rule"]

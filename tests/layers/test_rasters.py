@@ -20,8 +20,8 @@ from bumpymap.core import CANOPY, CLASS_NAMES, FREE, NO_CLASS, OBJECT_NAMES, OBS
 from bumpymap.core.types import BANDS, BARRED_TEXT, REASON_TEXT, Georeference, Reason
 from bumpymap.layers import _cog
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
-from bumpymap.layers.geotiff import write_raster
-from bumpymap.layers.map_files import KeptRasters
+from bumpymap.layers.folder import write_raster
+from bumpymap.layers.map_reader import KeptRasters
 from bumpymap.layers.products import SOME_NAMES, MapFile
 from bumpytiles import Grid, TileTable
 

@@ -25,8 +25,7 @@ from bumpymap.core.errors import OutputError
 from bumpymap.layers import check_scan_folder, move_products, name_frames, open_accumulated
 from bumpymap.layers.check_files import NOT_COMPARED, OFF_KINDS, MapOffset, place_stretches, write_stretches
 from bumpymap.layers.route_files import PROFILE_COLUMNS, track_points, write_gpx, write_profile, write_route_geojson
-from bumpymap.layers.scan_files import COLUMNS, open_table, sector_rows, write_cloud
-from bumpymap.layers.scan_folder import SCAN_COLOURS
+from bumpymap.layers.scan_folder import COLUMNS, SCAN_COLOURS, open_table, sector_rows, write_cloud
 
 PROPERTIES = {
     *("name", "vehicle", "length_m", "straight_m", "detour", "cost_m", "c_r_mean", "c_r_mean_low", "c_r_mean_high"),

@@ -19,9 +19,8 @@ from bumpymap.core import BadInputError
 from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, Barred, Georeference, Reason
 from bumpymap.layers import read_areas, read_points, tiles_in
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.regions import dissolve
 from bumpymap.layers.route_inputs import FilePoint
-from bumpymap.layers.vector import GeoJsonCoordinates, region_columns
+from bumpymap.layers.vector import GeoJsonCoordinates, dissolve, region_columns
 from bumpytiles import Grid, TileTable, TileWindow
 
 
@@ -95,7 +94,7 @@ def test_both_vectors_are_a_coverage_with_the_holes_of_the_tiles(site, keys, cut
     table, holes = table_of(made), holes_of_tiles(made.patches.col, made.patches.row)
     place = GeoJsonCoordinates.of(Placement.of(table), local=True)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("bumpymap.layers.regions.REGION_WINDOW", size)
+        patched.setattr("bumpymap.layers.vector.REGION_WINDOW", size)
         outlines = np.concatenate([regions.outlines for regions in dissolve(table)])
     check_coverage(shapely.transform(outlines, place.placement.to_crs), holes)
     if cut == (1, 512):  # no vertices but those that both sides need

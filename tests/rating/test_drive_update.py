@@ -20,9 +20,8 @@ from bumpymap.rating.drive_update import (
     moved_calibration,
     respond,
 )
-from bumpymap.rating.ride.ground_power import Strength
 from bumpymap.rating.ride.motion_operator import Rides
-from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel
+from bumpymap.rating.ride.thin import THIN_COLUMNS, Strength, ThinModel
 
 CALIBRATION = Calibration.shipped("warthog")
 

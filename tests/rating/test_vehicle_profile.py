@@ -5,8 +5,13 @@ import json
 import pytest
 
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.rating.vehicle_body import ESTIMATED
-from bumpymap.rating.vehicle_profile import Vehicle, estimated_values, shipped_profiles, write_profile_template
+from bumpymap.rating.vehicle_profile import (
+    ESTIMATED,
+    Vehicle,
+    estimated_values,
+    shipped_profiles,
+    write_profile_template,
+)
 
 
 @pytest.fixture

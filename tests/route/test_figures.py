@@ -16,10 +16,20 @@ from bumpymap.core import Barred, DirectionSettings, axis_values, slope_cost
 from bumpymap.route import CostSettings, ground, measure
 from bumpymap.route.ground import CostGround, sample_line
 from bumpymap.route.measure import measure_straight_line, measure_way
-from bumpymap.route.no_way import what_closes
 from bumpymap.route.pipeline import best_order
-from bumpymap.route.search import FROM_START, MOVES, NOT_REACHED, find_way, seek, spread
-from bumpymap.route.straighten import is_clear, line_cost, trace, wide_margin
+from bumpymap.route.planner import what_closes
+from bumpymap.route.search import (
+    FROM_START,
+    MOVES,
+    NOT_REACHED,
+    find_way,
+    is_clear,
+    line_cost,
+    seek,
+    spread,
+    trace,
+    wide_margin,
+)
 
 SIZE = 3.0
 

@@ -16,8 +16,7 @@ from bumpymap.route.ground import CostGround
 from bumpymap.route.measure import way_cost
 from bumpymap.route.places import in_window
 from bumpymap.route.planner import Planner, tile_line
-from bumpymap.route.search import MOVES, find_way
-from bumpymap.route.straighten import line_cost
+from bumpymap.route.search import MOVES, find_way, line_cost
 
 
 def ground_of(site, **settings):

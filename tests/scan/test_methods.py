@@ -25,8 +25,8 @@ from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.rating import find_calibration
 from bumpymap.scan import ScanConfig, classify_filter, load_stripes, polar_sectors, scan_frames
 from bumpymap.scan.cells import lay_grid
+from bumpymap.scan.classifier import SectorRater
 from bumpymap.scan.learned import ScanModel, classify_learned, infer, neighbours, network_input, probabilities
-from bumpymap.scan.methods import SectorRater
 from bumpymap.scan.stripes import StripeFilter, count_stripes
 
 

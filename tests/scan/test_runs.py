@@ -24,8 +24,8 @@ from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.layers import part_path
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.readers import read_scan
+from bumpymap.scan.classifier import choose_method
 from bumpymap.scan.config import ScanConfig
-from bumpymap.scan.methods import choose_method
 from bumpymap.scan.pipeline import scan_frames as scan_alone
 from bumpymap.survey import map_surveys
 

@@ -23,7 +23,7 @@ from bumpymap.readers.point_stats import LinedPoints
 from bumpymap.survey import Budget, FlightLines, MapResult, estimate, ground_line
 from bumpymap.survey.advice import Outcome, advise
 from bumpymap.survey.flight_lines import compare_lines, describe_lines
-from bumpymap.survey.run_record import survey_record
+from bumpymap.survey.pipeline import survey_record
 from bumpymap.views import write_map_views
 from bumpytiles import Grid
 

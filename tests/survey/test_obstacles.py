@@ -33,9 +33,8 @@ from bumpymap.core.interrupts import SilentProgress
 from bumpymap.core.types import rated_columns
 from bumpymap.layers import open_map
 from bumpymap.rating import find_steps
-from bumpymap.survey import second_pass
-from bumpymap.survey.second_pass import NeighbourRating, finish_tiles
-from bumpymap.survey.tile_rating import RatingModels, TileRating
+from bumpymap.survey import tile_rating
+from bumpymap.survey.tile_rating import NeighbourRating, RatingModels, TileRating, finish_tiles
 from bumpytiles import BLOCK_TILES, Grid, TileBuckets, TileTable
 
 pytestmark = pytest.mark.usefixtures("without_views")
@@ -246,7 +245,7 @@ def test_the_middle_of_the_vehicle_keeps_its_distance_from_every_obstacle(
     assert (apart < np.inf).any()
     assert apart[is_free].min() > 0.5 * open_map(tmp_path / "layers").vehicle.width_m + 0.09
     limit_points(block=3_000)
-    monkeypatch.setattr("bumpymap.survey.second_pass.STRIP_BLOCKS", 1)
+    monkeypatch.setattr("bumpymap.survey.tile_rating.STRIP_BLOCKS", 1)
     bumpymap.map_survey(tmp_path / "survey.las", tmp_path / "parts")
     rasters = [f"rasters/{name}.tif" for name in ("roughness", "barred", "obstacle", "passage")]
     for name in (*rasters, "tiles.parquet"):
@@ -442,9 +441,9 @@ def test_zones_are_those_of_the_whole_mosaic_however_it_is_cut(body, data):
     table = TileTable.of(SMALL_GRID, {name: values[order] for name, values in columns.items()})
     with pytest.MonkeyPatch.context() as patch:
         blocks = data.draw(st.sampled_from([1, 2, 9]))
-        patch.setattr(second_pass, "STRIP_PIXELS", blocks * (BLOCK_TILES * SMALL_GRID.pixels) ** 2)
+        patch.setattr(tile_rating, "STRIP_PIXELS", blocks * (BLOCK_TILES * SMALL_GRID.pixels) ** 2)
         with TemporaryDirectory() as folder:
-            found = second_pass.add_zones(table, body, Path(folder)).read(("zone", "barred", "passage"))
+            found = tile_rating.add_zones(table, body, Path(folder)).read(("zone", "barred", "passage"))
     np.testing.assert_array_equal(found["zone"], expected(found, body))
     assert found["zone"].dtype == np.int32
 

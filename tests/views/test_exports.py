@@ -31,6 +31,7 @@ from bumpymap.core import (
     NO_TILE,
     BadInputError,
     Barred,
+    ExportSettings,
     Georeference,
     GridSettings,
     OutputError,
@@ -42,7 +43,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers import open_map
 from bumpymap.scan import polar_sectors
-from bumpymap.views import ExportSettings, export_map
+from bumpymap.views import export_map
 
 pytestmark = pytest.mark.usefixtures("without_views")
 

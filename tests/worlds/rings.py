@@ -16,8 +16,9 @@ from skimage.graph import MCP_Geometric
 from small_surveys import write_las
 
 import bumpymap
+from bumpymap.core import ExportSettings
 from bumpymap.layers import open_map
-from bumpymap.views import ExportSettings, export_map
+from bumpymap.views import export_map
 
 HALF_M, SURVEYED_M = 12.0, 20.0
 """From the middle to the ring, and to the edge of the survey, along the axes of the ring, m."""

@@ -39,13 +39,11 @@ from .pack import (
     key_codes as key_codes,
     write_pack as write_pack,
 )
-from .processes import (
-    blocked_signals as blocked_signals,
-    start_python as start_python,
-)
 from .run import (
+    blocked_signals as blocked_signals,
     grouped_blocks as grouped_blocks,
     run_blocks as run_blocks,
+    start_python as start_python,
 )
 from .tile_table import (
     TileTable as TileTable,

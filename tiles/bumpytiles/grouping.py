@@ -167,18 +167,15 @@ def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointPart]) -> TilePoi
     loops.sort_tiles(first, starts, corner, grid.tile_size, out)
     kept = int(starts[-1])
     present = np.flatnonzero(np.diff(starts))
+    rgb = colour.reshape(-1, grid.pixels, grid.pixels)[present] if coloured else colour
     return TilePoints(
         grid=grid,
         col=key[1] * BLOCK_TILES + present % BLOCK_TILES,
         row=key[0] * BLOCK_TILES + present // BLOCK_TILES,
         starts=np.append(starts[present], kept),
-        photo=_red_green_blue(colour.reshape(-1, grid.pixels, grid.pixels)[present]) if coloured else None,
+        photo=np.stack([rgb >> 16, rgb >> 8, rgb], axis=-1).astype(np.uint8) if coloured else None,
         **{name: values[:kept] for name, values in out.items()},
     )
-
-
-def _red_green_blue(colour: NDArray[np.uint32]) -> NDArray[np.uint8]:
-    return np.stack([colour >> 16, colour >> 8, colour], axis=-1).astype(np.uint8)
 
 
 _MOST_BORDERS = 1 << 16

@@ -1,9 +1,18 @@
-"""Apply a function to blocks on several threads; results come in order, and few blocks are in memory."""
+"""Work on several threads, and in processes of its own.
 
+Python puts the current folder, where strangers' files may lie, on the path of ``python -c`` and so of what
+`multiprocessing` starts. No process that is started here has it there, nor has any that those start.
+"""
+
+import os
+import signal
+import subprocess
+import sys
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TypeVar
+from contextlib import contextmanager
+from typing import Any, TypeVar
 
 Block = TypeVar("Block")
 Result = TypeVar("Result")
@@ -68,3 +77,41 @@ def grouped_blocks(blocks: Iterable[Block], size: Callable[[Block], int], most: 
         held += own
     if group:
         yield group
+
+
+def start_python(
+    arguments: Sequence[str], *, isolated: bool = False, environment: Mapping[str, str] | None = None, **settings: Any
+) -> "subprocess.Popen[bytes]":
+    """Start this Python without input; its path is the same but for the current folder.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+    isolated : bool
+        Leave out site-packages and Python's environment variables too.
+    environment : mapping, optional
+        Environment variables to add to those of this process.
+    **settings
+        Those of `subprocess.Popen`.
+    """
+    flags = ("-I", "-S") if isolated else ("-P",)
+    return subprocess.Popen(  # noqa: S603 (this Python)
+        [sys.executable, *flags, *arguments],
+        stdin=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONSAFEPATH": "1", **(environment or {})},
+        **settings,
+    )
+
+
+@contextmanager
+def blocked_signals() -> Iterator[None]:
+    """Block SIGINT and SIGTERM during the body; threads and processes that it starts keep them blocked.
+
+    Both signals reach every process of a terminal or a batch job, but only the main process handles them, and stops
+    its workers. A process that receives one while it imports, starts or stops would end with a traceback.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

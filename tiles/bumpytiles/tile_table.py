@@ -83,8 +83,10 @@ class TileTable:
         if not self.tiles:
             raise ValueError("a table needs at least one tile")
         self._codes, self._counts, self._sources = codes, counts, sources
-        self._rows, self._cols = codes >> 32, (codes & 0xFFFFFFFF) - (1 << 31)
-        self.window = self._tight_window()
+        self._rows, self._cols = row, col = codes >> 32, (codes & 0xFFFFFFFF) - (1 << 31)
+        edge = (row == row.min()) | (row == row.max()) | (col == col.min()) | (col == col.max())
+        found = self._read(np.flatnonzero(edge), ("col", "row"))  # of the outermost blocks
+        self.window = TileWindow.around(found["col"], found["row"])
         """The smallest window that contains every tile."""
 
     @classmethod
@@ -198,13 +200,6 @@ class TileTable:
             start, end = first + np.searchsorted(self._cols[first:stop], [west, east + 1])
             if start < end:
                 yield slice(int(start), int(end))
-
-    def _tight_window(self) -> TileWindow:
-        """Return the smallest window around all tiles, from those of the outermost blocks."""
-        row, col = self._rows, self._cols
-        edge = (row == row.min()) | (row == row.max()) | (col == col.min()) | (col == col.max())
-        found = self._read(np.flatnonzero(edge), ("col", "row"))
-        return TileWindow.around(found["col"], found["row"])
 
 
 def _strip(row: int, start: int, stop: int, window: TileWindow) -> TileWindow:

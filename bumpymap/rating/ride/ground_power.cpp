@@ -3,7 +3,7 @@
 // Heights about a plane are waves of the ground, whose powers have one strength and fall with the wave number, and
 // white noise. The sums of the points over the waves are reduced to a tridiagonal matrix with the heights as its first
 // row (Householder's reflections): then the likelihood of each strength of ground and noise takes one pass over its
-// rows. Ours; see ground_power.py.
+// rows. Ours; see thin.py.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -80,7 +80,7 @@ void reduce(Square& sums, Index first, Array<float> diagonal, Array<float> besid
     }
 }
 
-// Fills the sums of some tiles, see `ground_power.py`; NaN for the others and where the points span no plane.
+// Fills the sums of some tiles, see thin.py; NaN for the others and where the points span no plane.
 // `waves` (pixels^2, 3 + k): a plane and the waves at the pixels, by the square root of their power.
 void sum_waves(
     Array<const bool> wanted, Array<const float, 3> reliefs, Array<const std::int32_t, 3> counts,

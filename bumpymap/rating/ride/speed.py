@@ -26,8 +26,7 @@ from bumpymap.core import BadInputError, CostRule, Floats, UsageError
 from bumpymap.rating.calibration import MAP_SPEED, Calibration, find_calibration, remembered, shipped_calibrations
 from bumpymap.rating.ride.correction import Coefficients
 from bumpymap.rating.ride.motion_operator import Motions
-from bumpymap.rating.vehicle_body import less_floor, with_floor
-from bumpymap.rating.vehicle_profile import Vehicle
+from bumpymap.rating.vehicle_profile import Vehicle, less_floor, with_floor
 
 QUANTITIES = ("c_r", "a_w")
 """Predicted at each speed: rad/m, m/s2."""

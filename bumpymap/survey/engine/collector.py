@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, atomic, parse_json
 from bumpymap.readers import LineSums, PointStats, SurveyReader, Version, file_changed
+from bumpymap.survey.engine.block_work import blocks_around
 from bumpymap.survey.engine.budget import Workspace
-from bumpymap.survey.engine.surroundings import blocks_around
 from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Pack, TileWindow, key_codes
 
 _SIDE = 8

@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from bumpymap.core import POINT_GROUND, BadInputError, Progress
 from bumpymap.readers import Chunk, PointStats, SurveyReader, close_decoder
+from bumpymap.survey.engine.block_work import blocks_around
 from bumpymap.survey.engine.budget import requests_at_once
 from bumpymap.survey.engine.collector import ChunkRange, ReadResult
-from bumpymap.survey.engine.surroundings import blocks_around
 from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Grid, GroupedPoints, Pack, TileBuckets, run_blocks
 
 Spans = Mapping[int, Sequence[tuple[int, int]]]

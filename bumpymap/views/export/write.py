@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Number, OutputError, shape_fault, writing_to
+from bumpymap.core import BadInputError, ExportSettings, Number, OutputError, shape_fault, writing_to
 from bumpymap.layers import MapReader, OutputFolder, geojson_features, line_parts, write_manifest
 from bumpymap.views.export.area import choose_area, write_nav2, write_pixel_cost
 from bumpymap.views.export.gridmap import write_gridmap
-from bumpymap.views.export.settings import ExportSettings
 from bumpymap.views.words import seen_sizes
 from bumpytiles import TileWindow
 

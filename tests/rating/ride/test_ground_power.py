@@ -6,7 +6,7 @@ from scipy.stats import multivariate_normal
 
 from bumpymap.core import loops
 from bumpymap.rating import find_strengths
-from bumpymap.rating.ride.ground_power import POWER_RING, WAVE_SUMS, wave_sums
+from bumpymap.rating.ride.thin import THIN_RING, WAVE_SUMS, wave_sums
 
 PIXELS, SIDE = 15, 20
 NO_PAIRS = np.zeros((SIDE, SIDE, 2), np.float32)
@@ -79,7 +79,7 @@ def test_tiles_beyond_the_ring_have_no_part():
     sums = square(0.02, 0.02)
     other = sums.copy()
     far = np.ones((SIDE, SIDE), np.bool_)
-    far[10 - POWER_RING : 11 + POWER_RING, 10 - POWER_RING : 11 + POWER_RING] = False
+    far[10 - THIN_RING : 11 + THIN_RING, 10 - THIN_RING : 11 + THIN_RING] = False
     other[far] = np.nan
     for found, again in zip(find_strengths(sums, NO_PAIRS), find_strengths(other, NO_PAIRS), strict=True):
         assert [values[10, 10] for values in found] == [values[10, 10] for values in again]

@@ -19,7 +19,7 @@ from bumpymap.rating import (
 )
 from bumpymap.rating.ride.speed import map_rule, plain_factors, plain_speed_factor
 from bumpymap.rating.steps import StepEffect, apply_steps
-from bumpymap.rating.vehicle_body import less_floor
+from bumpymap.rating.vehicle_profile import less_floor
 
 WARTHOG = Calibration.shipped("warthog")
 SPEEDS = (0.5, 1.0, 2.0)

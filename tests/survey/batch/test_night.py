@@ -160,8 +160,8 @@ def test_an_interrupted_survey_is_begun_again_with_other_settings(surveys, alone
 
 def test_a_signal_leaves_a_summary(surveys, tmp_path):
     script = (
-        "import os, sys\nfrom bumpymap.cli import batch_command, main\nreporter = batch_command._reporter\n"
-        f"batch_command._reporter = lambda progress: lambda row: os.kill(os.getpid(), {int(signal.SIGTERM)})\n"
+        "import os, sys\nfrom bumpymap.cli import main, map_command\nreporter = map_command._batch_reporter\n"
+        f"map_command._batch_reporter = lambda progress: lambda row: os.kill(os.getpid(), {int(signal.SIGTERM)})\n"
         "sys.argv[0] = 'bumpymap'\nmain()"
     )
     words = [sys.executable, "-c", script, "batch", str(surveys), "--out", str(tmp_path / "o")]

@@ -8,7 +8,7 @@ from small_surveys import write_survey
 
 from bumpymap.core import BadInputError, UsageError
 from bumpymap.survey import BatchConfig, run_batch
-from bumpymap.survey.batch.source import list_surveys, name_surveys, plain_name
+from bumpymap.survey.batch.run import list_surveys, name_surveys, plain_name
 
 
 def found(source, survey_per="file"):
