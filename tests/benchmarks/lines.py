@@ -40,30 +40,32 @@ MOST_FAIL, MOST_CLOSED = 0.3, 0.02
 
 @dataclass
 class Ground:
-    """Ground of pixels, south row first, [m]."""
+    """Ground of pixels, south row first, [m], from its south-west corner: what is driven has single precision."""
 
     heights: np.ndarray
-    corner: np.ndarray
-    """Easting and northing of its south-west corner, m."""
     spacing: float = PIXEL_M / 2
     gradient: tuple = (0.0, 0.0)
 
     def height(self, easting, northing):
         """Return heights of points, m."""
-        at = [(northing - self.corner[1]) / PIXEL_M - 0.5, (easting - self.corner[0]) / PIXEL_M - 0.5]
+        at = [northing / PIXEL_M - 0.5, easting / PIXEL_M - 0.5]
         return map_coordinates(self.heights, at, order=1, mode="nearest")
 
 
+def corner_of(site):
+    """Return easting and northing of the south-west corner of a map's window, m."""
+    return site.grid.tile_size * np.array([site.window.col, site.window.row], np.float64)
+
+
 def mapped_ground(layers):
-    """Return the ground of a map, and which of its pixels are not driven."""
+    """Return the ground of a map, which of its pixels are not driven, and its south-west corner."""
     site = open_map(layers)
     heights, objects = site.heights(site.window).astype(np.float64), site.objects(site.window)
     heights[(objects == OBSTACLE) | (objects == CANOPY)] = np.nan
     fails = site.values(site.window, ("p_fail",))["p_fail"]
     closed = ~np.isfinite(heights) | ~np.kron(fails < MOST_FAIL, np.ones((site.grid.pixels,) * 2, bool))
     nearest = distance_transform_edt(~np.isfinite(heights), return_distances=False, return_indices=True)
-    corner = site.grid.tile_size * np.array([site.window.col, site.window.row], np.float64)
-    return Ground(heights[tuple(nearest)][::-1], corner), closed[::-1]
+    return Ground(heights[tuple(nearest)][::-1]), closed[::-1], corner_of(site)
 
 
 def made_ground(kind, path, seed):
@@ -76,10 +78,10 @@ def made_ground(kind, path, seed):
     las.x, las.y, las.z = points
     las.classification = np.full(points.shape[1], 2, np.uint8)
     las.write(path)
-    return Ground(fine.reshape(side, per, side, per).mean(axis=(1, 3)), np.zeros(2)), np.zeros((side, side), bool)
+    return Ground(fine.reshape(side, per, side, per).mean(axis=(1, 3))), np.zeros((side, side), bool), np.zeros(2)
 
 
-def draw_lines(ground, closed, count, length):
+def draw_lines(closed, count, length):
     """Draw starts and headings of lines that can be driven, (count, 3)."""
     rng, near, drawn = np.random.default_rng(SEED), uniform_filter(closed.astype(float), 15), []
     size = PIXEL_M * np.array(closed.shape[::-1])
@@ -90,7 +92,7 @@ def draw_lines(ground, closed, count, length):
         if (way > 3.0).all() and (way < size - 3.0).all():
             col, row = (way / PIXEL_M).astype(int).T
             if near[row, col].max() < MOST_CLOSED:
-                drawn.append((*(ground.corner + place), heading))
+                drawn.append((*place, heading))
     return np.array(drawn)
 
 
@@ -107,14 +109,14 @@ def drive(ground, profile, engine, line):
     return follow(vehicle, strip, profile, settings).c_r
 
 
-def predicted(layers, lines, first, last):
+def predicted(layers, lines, corner, first, last):
     """Return C_r and its 80 % interval of the line, and the mean of the tiles that it crosses, (n, 4) rad/m."""
     site, found = open_map(layers), []
     grid, tiles = site.grid, site.values(site.window, ("c_r",))["c_r"][::-1]
     for easting, northing, heading in lines:
-        way = [easting, northing] + np.array([[first], [last]]) * [math.cos(heading), math.sin(heading)]
+        way = corner + [easting, northing] + np.array([[first], [last]]) * [math.cos(heading), math.sin(heading)]
         ride = bumpymap.ride_along(layers, np.column_stack(site.to_crs(*way.T)))
-        at = np.linspace(*way, 50) // grid.tile_size - [site.window.col, site.window.row]
+        at = (np.linspace(*way, 50) - corner_of(site)) // grid.tile_size
         found.append([*ride.over(0.0, math.inf), np.nanmean(tiles[tuple(at.astype(int).T[::-1])])])
     return np.array(found)
 
@@ -150,14 +152,14 @@ def main():
         whole, copy = Path(folder) / "whole.laz", Path(folder) / "copy.laz"
         mapped = partial(bumpymap.map_survey, crs=given.crs, vehicle=given.vehicle)
         if given.survey in MADE:
-            ground, closed = made_ground(given.survey, whole, 3)
+            ground, closed, corner = made_ground(given.survey, whole, 3)
             density = MADE_DENSITY
         else:
             whole = Path(given.survey)
             mapped(whole, out=f"{folder}/whole")
-            ground, closed = mapped_ground(f"{folder}/whole")
+            ground, closed, corner = mapped_ground(f"{folder}/whole")
             density = float(np.nanmedian(bumpymap.open(f"{folder}/whole").tiles()["density"]))
-        lines = draw_lines(ground, closed, given.lines, last)
+        lines = draw_lines(closed, given.lines, last)
         beside = ACROSS_M * np.random.default_rng(SEED).standard_normal(len(lines))
         with Pool() as pool:
             jobs = np.column_stack([lines, beside])
@@ -167,7 +169,7 @@ def main():
         for wanted in map(float, given.densities.split(",")) if given.densities else (density,):
             write_copy(whole, copy, SEED, share=min(1.0, wanted / density), noise=given.noise)
             mapped(copy, out=f"{folder}/{wanted:g}")
-            c_r, low, high, tiles = predicted(f"{folder}/{wanted:g}", lines, first, last).T
+            c_r, low, high, tiles = predicted(f"{folder}/{wanted:g}", lines, corner, first, last).T
             print("|", " | ".join([f"{wanted:.0f}", "tiles", *compared(driven, tiles, None, None)]), "|")
             print("|", " | ".join([f"{wanted:.0f}", "line", *compared(driven, c_r, low, high)]), "|", flush=True)
 
