@@ -22,6 +22,12 @@ from .ride.correction import (
     ride_features as ride_features,
     subtract_noise as subtract_noise,
 )
+from .ride.line import (
+    felt_along as felt_along,
+    match_noise as match_noise,
+    roll_wheels as roll_wheels,
+    smooth_over as smooth_over,
+)
 from .ride.motion_operator import (
     MotionOperator as MotionOperator,
     Rides as Rides,
@@ -39,9 +45,6 @@ from .ride.rate import (
     DRIVE_LOG_SD as DRIVE_LOG_SD,
     RideModel as RideModel,
     denoise as denoise,
-    felt_along as felt_along,
-    match_tiles as match_tiles,
-    roll_wheels as roll_wheels,
 )
 from .ride.speed import (
     QUANTITIES as QUANTITIES,

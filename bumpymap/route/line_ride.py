@@ -1,7 +1,7 @@
 """The ride of one line: the vehicle rolled along it over the pixels of a map.
 
 The ride cost of a tile is the mean over all headings and places; a vehicle drives one line. The heights of the tiles
-that its wheels touch are denoised just so far that their predicted C_r is the one that the map states (`match_tiles`).
+that its wheels touch are denoised just so far that their predicted C_r is the one that the map states (`match_noise`).
 The wheels roll along the line over these heights, across the borders of tiles, and the change of the chassis' pitch is
 turned into C_r by the correction that the drives of the calibration taught (`felt_along`). Where a wheel meets ground
 whose height is not known, the metre has the ride cost of its tile.
@@ -29,6 +29,7 @@ from bumpymap.core import (
     OBSTACLE,
     BadInputError,
     Floats,
+    Mask,
     UsageError,
     interval_log_sd,
     loops,
@@ -47,12 +48,14 @@ from bumpymap.rating import (
     heave_filter,
     less_floor,
     map_calibration,
-    match_tiles,
+    match_noise,
     motion_factors,
     motion_felt,
     move_over,
     remove_plane,
+    roll_over,
     roll_wheels,
+    smooth_over,
     wheel_turn,
     with_floor,
 )
@@ -383,22 +386,24 @@ def _roll(
     """
     pixels, parts = site.grid.pixels, _parts(site, line, at, max(int(_STRETCH_M / vehicle.way), 1))
     windows = [_read(site, *_places(line, part, vehicle.operator, across), vehicle) for part in parts]
-    boxes = [
-        window.heights.reshape(len(window.touched), pixels, -1, pixels).transpose(0, 2, 1, 3) for window in windows
-    ]
-    own = [box[window.touched] for box, window in zip(boxes, windows, strict=True)]
-    inside = [np.isin(np.arange(window.bands.shape[1]), window.tile) for window in windows]
+    boxes = [window.heights.reshape(len(window.touched), pixels, -1, pixels).swapaxes(1, 2) for window in windows]
     bands = np.concatenate([window.bands for window in windows], axis=1)
-    added, tiles = _match(np.concatenate(own), bands, np.concatenate(inside), vehicle)
-    rolled, first, turn = [], 0, None
-    for box, window in zip(boxes, windows, strict=True):
-        here = slice(first, first + window.bands.shape[1])
-        box[window.touched] += added[here]
+    own, slope = _own_speed(bands, vehicle), np.nan_to_num(bands[3]).astype(np.float64)
+    noise = match_noise(_relief(boxes, windows), own, slope, vehicle.correction, vehicle.operator)
+    ends = np.cumsum([window.bands.shape[1] for window in windows])
+    for window, found in zip(windows, np.split(noise, ends[:-1]), strict=True):
+        of_tiles = np.full(window.touched.shape, np.nan)
+        of_tiles[window.touched] = found
+        window.heights[...] += smooth_over(window.heights, of_tiles, pixels)
+    inside = np.concatenate([np.isin(np.arange(window.bands.shape[1]), window.tile) for window in windows])
+    tiles = _rated(_relief(boxes, windows), own, slope, bands, inside, vehicle)
+    rolled, turn = [], None
+    for window, last in zip(windows, ends, strict=True):
+        here = slice(last - window.bands.shape[1], last)
         before = np.column_stack([window.turn[:, :1] if turn is None else turn[:, -1:], window.turn[:, :-1]])
         turn = window.turn
         low, jump = roll_wheels(window.heights, window.wheels, turn, before, vehicle.operator)
         rolled.append((low, jump, window.seen, *(values[here][window.tile] for values in tiles)))
-        first = here.stop
     low, jump, seen, *columns = (np.concatenate(parts, axis=-1) for parts in zip(*rolled, strict=True))
     return (low - np.cumsum(jump, axis=1)).reshape(len(across), 4, -1), seen, _Tiles(*columns)
 
@@ -450,35 +455,49 @@ def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle)
     return _LineWindow(filled[1:-1, 1:-1].copy(), touched, bands, number[own], places, turn, seen)
 
 
-def _match(
-    heights: Floats, bands: NDArray[np.float32], inside: NDArray[np.bool_], vehicle: LineVehicle
-) -> tuple[Floats, _Tiles]:
-    """Take the noise off n tiles: return what is to be added to their heights, and what is known of them.
+def _relief(boxes: Sequence[Floats], windows: Sequence[_LineWindow]) -> NDArray[np.float32]:
+    """Return the relief of the tiles of all windows that wheels touch, (n, pixels, pixels) m."""
+    touched = [box[window.touched] for box, window in zip(boxes, windows, strict=True)]
+    return remove_plane(np.concatenate(touched)).astype(np.float32)
+
+
+def _own_speed(bands: NDArray[np.float32], vehicle: LineVehicle) -> Floats:
+    """Return C_r of n tiles at the profile's speed, less the floor, (n,) rad/m."""
+    calibration, moving = vehicle.calibration, vehicle.moving
+    if moving is None:
+        return less_floor(bands[0], calibration.map_floor)
+    nothing = np.full((bands.shape[1], 2 * len(moving.speeds)), np.nan, np.float32)
+    own = motion_felt(calibration, moving.speeds, nothing, bands[0])[:, 0].astype(np.float64)
+    return less_floor(own, calibration.floor_at(moving.speeds[0]))
+
+
+def _rated(
+    clean: NDArray[np.float32],
+    own: Floats,
+    slope: Floats,
+    bands: NDArray[np.float32],
+    inside: Mask,
+    vehicle: LineVehicle,
+) -> _Tiles:
+    """Return what is known of n tiles whose relief is ``clean``, (n, pixels, pixels) m.
 
     ``inside`` (n,): the middle of the vehicle is in them; of the others, speed and acceleration are not needed.
     """
     calibration, moving = vehicle.calibration, vehicle.moving
-    c_r, low, high = (less_floor(values, calibration.map_floor) for values in bands[:3])
-    slope = np.nan_to_num(bands[3]).astype(np.float64)
-    relief = remove_plane(heights).astype(np.float32)
-    ratio, a_w, heave = np.ones(len(c_r)), np.full(len(c_r), np.nan), np.full(len(c_r), np.nan)
-    own = c_r
+    rides = roll_over(clean, vehicle.operator)
+    left = np.maximum(own, _LEAST) / np.exp(vehicle.correction.without_noise(rides, slope))
+    ratio, a_w, heave = np.ones(len(own)), np.full(len(own), np.nan), np.full(len(own), np.nan)
     if moving is not None:
-        speeds, nothing = moving.speeds, np.full((len(c_r), 2 * len(moving.speeds)), np.nan, np.float32)
-        own = motion_felt(calibration, speeds, nothing, bands[0])[:, 0].astype(np.float64)
-        own = less_floor(own, calibration.floor_at(speeds[0]))
-    clean, rides, left = match_tiles(relief, own, slope, vehicle.correction, vehicle.operator)
-    if moving is not None:
+        speeds, at = moving.speeds, moving.speeds.index(vehicle.speed)
         motions = move_over(np.where(inside[:, None, None], clean, np.float32(np.nan)), moving)
         _, factors = motion_factors(calibration, speeds, motions, rides.pitch_change)
         felt = motion_felt(calibration, speeds, factors, bands[0]).astype(np.float64)
-        at = speeds.index(vehicle.speed)
         ratio = less_floor(felt[:, 2 * at], calibration.floor_at(vehicle.speed)) / np.maximum(own, _LEAST)
         a_w, heave = felt[:, 2 * at + 1], motions.heave[:, at]
+    c_r, low, high = (less_floor(values, calibration.map_floor) for values in bands[:3])
     sides = np.nan_to_num(interval_log_sd(c_r, low, high, vehicle.drive_log_sd))
     log_sd = np.where(np.isfinite(c_r), sides.mean(axis=0), np.nan)
-    tiles = _Tiles(own, log_sd, ratio, slope, rides.belly_reach, left, a_w, heave)
-    return (clean - relief).astype(np.float64), tiles
+    return _Tiles(own, log_sd, ratio, slope, rides.belly_reach, np.where(np.isfinite(left), left, 1.0), a_w, heave)
 
 
 def _places(line: Floats, at: Floats, operator: RideOperator, across: Floats) -> tuple[Floats, Floats]:

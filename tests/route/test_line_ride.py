@@ -102,6 +102,24 @@ def test_wheels_beside_the_border_of_a_tile_do_not_feel_the_noise_of_the_next(tm
     assert near == pytest.approx(far, rel=0.25)
 
 
+def test_lines_over_noisy_ground_have_the_mean_ride_of_its_tiles(tmp_path):
+    rng = np.random.default_rng(1)
+    east, north, phase = rng.uniform(-1.0, 1.0, (60, 3, 1)).transpose(1, 0, 2)
+    size = 0.003 / (4.0 * np.hypot(east, north) + 0.3)
+
+    def noisy(x, y):
+        waves = size * np.sin(4.0 * (east * (x - WEST) + north * (y - SOUTH)) + phase)
+        return 100.0 + waves.sum(axis=0) + 0.015 * rng.standard_normal(len(x))
+
+    survey = write_survey(tmp_path / "noisy.las", points=110_000, side=33.0, height=noisy)
+    layers = bumpymap.map_survey(survey, tmp_path / "layers")
+    places = [(way, place) for way in (across, along) for place in np.arange(6.0, 27.0, 1.4)]
+    rides = [bumpymap.ride_along(layers, way(22.0, place), sigma=0.0).over(0.0, 22.0)[0] for way, place in places]
+    tiles = bumpymap.open(layers).tiles()
+    inner = tiles[tiles["count"] > 800]  # those at the edge of the survey are cut
+    assert np.mean(rides) == pytest.approx(inner["c_r"].mean(), rel=0.07)
+
+
 def test_the_ride_of_a_metre_does_not_hang_on_how_much_of_the_map_is_read_with_it(tmp_path):
     def posts(x, y):
         return 100.0 + 0.02 * np.sin(9.0 * x) * np.sin(7.0 * y) + (((y - SOUTH) % 3.0 > 2.6) & ((x - WEST) % 3.0 > 2.6))
