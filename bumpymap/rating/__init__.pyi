@@ -4,6 +4,10 @@ from .calibration import (
     find_calibration as find_calibration,
     shipped_calibrations as shipped_calibrations,
 )
+from .cost import (
+    rate as rate,
+    rate_as_paper as rate_as_paper,
+)
 from .drive_update import (
     DriveUpdate as DriveUpdate,
     update_from_drives as update_from_drives,
@@ -92,8 +96,6 @@ from .textures import (
     classify as classify,
     measures_of as measures_of,
     normalise as normalise,
-    rate as rate,
-    rate_as_paper as rate_as_paper,
     remove_plane as remove_plane,
 )
 from .vehicle_profile import (
