@@ -4,10 +4,6 @@ from .calibration import (
     find_calibration as find_calibration,
     shipped_calibrations as shipped_calibrations,
 )
-from .cost import (
-    rate as rate,
-    rate_as_paper as rate_as_paper,
-)
 from .drive_update import (
     DriveUpdate as DriveUpdate,
     update_from_drives as update_from_drives,
@@ -26,12 +22,6 @@ from .ride.correction import (
     ride_features as ride_features,
     subtract_noise as subtract_noise,
 )
-from .ride.line import (
-    felt_along as felt_along,
-    match_noise as match_noise,
-    roll_wheels as roll_wheels,
-    smooth_over as smooth_over,
-)
 from .ride.motion_operator import (
     MotionOperator as MotionOperator,
     Rides as Rides,
@@ -49,6 +39,11 @@ from .ride.rate import (
     DRIVE_LOG_SD as DRIVE_LOG_SD,
     RideModel as RideModel,
     denoise as denoise,
+    felt_along as felt_along,
+    match_noise as match_noise,
+    remove_plane as remove_plane,
+    roll_wheels as roll_wheels,
+    smooth_over as smooth_over,
 )
 from .ride.speed import (
     QUANTITIES as QUANTITIES,
@@ -96,7 +91,8 @@ from .textures import (
     classify as classify,
     measures_of as measures_of,
     normalise as normalise,
-    remove_plane as remove_plane,
+    rate as rate,
+    rate_as_paper as rate_as_paper,
 )
 from .vehicle_profile import (
     KEYS as KEYS,

@@ -16,8 +16,8 @@ from bumpymap.lab.terrains import make_terrain
 from bumpymap.patches.features import measure
 from bumpymap.rating import RideModel, Vehicle, apply_steps, find_calibration
 from bumpymap.rating.calibration import Calibration
-from bumpymap.rating.cost import PAPER_TABLE, rate, rate_as_paper
 from bumpymap.rating.steps import STEP_COLUMNS
+from bumpymap.rating.textures import PAPER_TABLE, rate, rate_as_paper
 from bumpymap.rating.vehicle_profile import Floor, with_floor
 
 SCALE = {"flat": 0.01, "low_noise": 0.1, "noise_sin": 0.4, "high_noise": 0.8}
