@@ -15,7 +15,7 @@ from typing import Any
 import click
 
 from bumpymap.cli._options import COMMON_OPTIONS
-from bumpymap.cli._text import emit, flush, print_error, restored_logging
+from bumpymap.cli._output import emit, flush, print_error, restored_logging
 from bumpymap.core import (
     BumpymapError,
     Terminated,

@@ -9,7 +9,7 @@ from typing import Any
 
 from rich.filesize import decimal
 
-from bumpymap.cli._text import Styled, Table, about, as_options
+from bumpymap.cli._output import Styled, Table, about, as_options
 from bumpymap.core import (
     GROUND_CLASSES,
     INCLUDED_PIXELS,

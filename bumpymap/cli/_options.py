@@ -15,8 +15,17 @@ from typing import Any, Literal, NoReturn, TypeVar, get_args, get_origin
 import click
 from click.core import ParameterSource
 
-from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._text import Styled, Table, option_name, print_json, print_lines, set_up_logging, spell_settings
+from bumpymap.cli._output import (
+    CommandProgress,
+    Styled,
+    Table,
+    option_name,
+    print_json,
+    print_lines,
+    set_up_logging,
+    show_progress,
+    spell_settings,
+)
 from bumpymap.core import (
     Clash,
     Declared,

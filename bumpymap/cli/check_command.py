@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bumpymap.cli._options import FILE, PATH, Run, grouped_option, job, settings_options
-from bumpymap.cli._text import Styled, Table, cell
+from bumpymap.cli._output import Styled, Table, cell
 from bumpymap.core import (
     BadInputError,
     BumpymapError,

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from bumpymap.cli._options import PATH, Run, grouped_option, job, settings_options
-from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._text import print_json, print_lines
+from bumpymap.cli._output import CommandProgress, print_json, print_lines, show_progress
 from bumpymap.core import OF_CRS, MapConfig, with_pixels
 
 if TYPE_CHECKING:

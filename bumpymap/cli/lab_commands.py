@@ -23,8 +23,7 @@ from bumpymap.cli._options import (
     job,
     settings_options,
 )
-from bumpymap.cli._progress import CommandProgress
-from bumpymap.cli._text import about, interrupt_note, print_line
+from bumpymap.cli._output import CommandProgress, about, interrupt_note, print_line
 from bumpymap.core import (
     BumpymapError,
     OutputError,

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bumpymap.cli._options import PATH, Run, grouped_option, job, settings_options
-from bumpymap.cli._progress import CommandProgress
-from bumpymap.cli._text import ALREADY_DONE, Table, as_options, cell, interrupt_note
+from bumpymap.cli._output import ALREADY_DONE, CommandProgress, Table, as_options, cell, interrupt_note
 from bumpymap.core import (
     CLASHES,
     BadInputError,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bumpymap.cli._options import PATH, Run, job, settings_options
-from bumpymap.cli._text import Table, cell
+from bumpymap.cli._output import Table, cell
 from bumpymap.core import UsageError
 from bumpymap.route import CostSettings, RouteConfig
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bumpymap.cli._options import PATH, Run, grouped_option, job, settings_options
-from bumpymap.cli._text import ALREADY_DONE, Table
+from bumpymap.cli._output import ALREADY_DONE, Table
 from bumpymap.core import VEHICLE_OR_CALIBRATION, MapConfig, PolarSettings, Progress, Robot, count_text, shares_text
 from bumpymap.scan import ScanConfig
 

@@ -11,7 +11,7 @@ import click
 
 from bumpymap.change import DiffConfig
 from bumpymap.cli._options import PATH, Run, grouped_option, job, settings_options
-from bumpymap.cli._text import Table, option_name, print_json, print_line
+from bumpymap.cli._output import Table, option_name, print_json, print_line
 from bumpymap.core import (
     BadInputError,
     ExportFormat,

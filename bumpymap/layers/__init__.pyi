@@ -152,7 +152,7 @@ from .scan_folder import (
     report_frame as report_frame,
     save_part as save_part,
     sector_rows as sector_rows,
-    write_frame as write_frame,
+    write_cloud as write_cloud,
     write_scan_manifest as write_scan_manifest,
 )
 from .tile_table import (

@@ -462,7 +462,7 @@ _COLOURS, _FLAGS = ("red", "green", "blue"), ("class", "ground")
 
 
 def write_cloud(scan: Scan, classed: ClassedSectors, path: Path) -> None:
-    """Write binary little-endian PLY.
+    """Write binary little-endian PLY, without flushing it to the disk.
 
     Each vertex has x, y, z, height, red, green, blue, class, ground; intensity and label if the scan has them.
     """
@@ -488,10 +488,3 @@ def frame_files(name: str, folder: Path, products: Collection[str]) -> list[Path
     """Return the files of a frame's own."""
     endings = [ending for product, ending in FRAME_FILES.items() if product in products]
     return [folder / FRAME_FOLDER / f"{name}{ending}" for ending in endings]
-
-
-def write_frame(scan: Scan, classed: ClassedSectors, files: Iterable[Path]) -> None:
-    """Write those of the `frame_files` of a frame that are data, without flushing them to the disk."""
-    for path in files:
-        if path.suffix == FRAME_FILES["cloud"]:
-            write_cloud(scan, classed, path)

@@ -25,7 +25,7 @@ from bumpymap.layers import (
     report_frame,
     save_part,
     sector_rows,
-    write_frame,
+    write_cloud,
 )
 from bumpymap.readers import BagReader, NoPointsError, deskew, read_message, read_scan
 from bumpymap.scan.cells import FrameView, GroundMemory, SeenCells, see_cells
@@ -161,8 +161,10 @@ class FrameWork:
             arrays |= place_points(frame.name, scan.points, is_ground, frame.pose, self.offset)
         if self.config.bag is not None:
             arrays |= see_cells(scan.points, classed, self.config.grid, frame.pose)._asdict()
-        write_frame(scan, classed, files)
-        if "picture" in frame_products(self.config, number):
+        products = frame_products(self.config, number)
+        if "cloud" in products:
+            write_cloud(scan, classed, files[0])
+        if "picture" in products:
             write_picture(scan, classed, files[-1], self.config.range_m)
         rows = sector_rows(frame.name, classed) if "table" in self.config.products else None
         part = FramePart(entry, rows, arrays)

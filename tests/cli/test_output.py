@@ -12,8 +12,8 @@ import pytest
 from rich.console import Console
 from small_surveys import run, write_survey
 
-from bumpymap.cli import _progress, exit_code_of
-from bumpymap.cli._text import print_error, print_json, print_line, print_table
+from bumpymap.cli import _output, exit_code_of
+from bumpymap.cli._output import print_error, print_json, print_line, print_table
 from bumpymap.core import escape_controls
 from bumpymap.core.errors import BadInputError
 
@@ -31,7 +31,7 @@ def events(text):
 
 def test_events_hold_the_same(capsys):
     now = [1000.0]
-    progress = _progress.TickedProgress(lambda: now[0], as_json=True)
+    progress = _output.TickedProgress(lambda: now[0], as_json=True)
     progress.start("reading points", 1000)
     progress.advance(250)
     now[0] += 12.34
@@ -122,7 +122,7 @@ def test_every_way_out_shows_it(capsys):
     print_json({"name": WICKED})
     print_error(WICKED)
     out, err = capsys.readouterr()
-    with _progress.moving_bars(Console(file=(bar := io.StringIO()), force_terminal=True, width=400)) as bars:
+    with _output.moving_bars(Console(file=(bar := io.StringIO()), force_terminal=True, width=400)) as bars:
         bars.start(WICKED, 3)
         bars.advance(2)
     assert "2/3" in bar.getvalue()

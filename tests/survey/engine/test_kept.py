@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from small_surveys import files_in, killed_at, layers_of, run, write_las
 
-from bumpymap.cli._text import as_options
+from bumpymap.cli._output import as_options
 from bumpymap.core import MapConfig, UsageError, memory as memory_module, run_folder
 from bumpymap.core.errors import OutputError
 from bumpymap.core.processes import Child
