@@ -19,8 +19,7 @@ from made_drives import write_drive
 from small_surveys import write_survey
 
 import bumpymap
-from bumpymap.core import install_command
-from bumpymap.core.types import BANDS
+from bumpymap.core import BANDS, install_command
 from bumpymap.views import check_headline
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("without_views")]

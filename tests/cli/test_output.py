@@ -14,8 +14,7 @@ from small_surveys import run, write_survey
 
 from bumpymap.cli import _output, exit_code_of
 from bumpymap.cli._output import print_error, print_json, print_line, print_table
-from bumpymap.core import escape_controls
-from bumpymap.core.errors import BadInputError
+from bumpymap.core import BadInputError, escape_controls
 
 ROOT = Path(__file__).resolve().parents[2]
 QUARRY = ROOT / "sample_data" / "quarry.laz"

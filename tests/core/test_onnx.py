@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bumpymap.core import BadInputError
-from bumpymap.core.onnx_file import shipped_network
+from bumpymap.core import BadInputError, shipped_network
 from bumpymap.rating.textures import TextureModel
 from bumpymap.scan import ScanModel
 

@@ -16,8 +16,7 @@ import pytest
 from blake3 import blake3
 from hypothesis import given, settings, strategies as st
 
-from bumpymap.core import free_memory, same_content
-from bumpymap.core.errors import OutputError
+from bumpymap.core import OutputError, free_memory, same_content
 from bumpymap.core.processes import Child, ChildDiedError, ChildError, SharedMemory
 from bumpymap.core.run_folder import LOCK, RunFolder, lock_for, locked, work_folder
 from bumpymap.readers import hash_survey

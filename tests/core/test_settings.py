@@ -10,9 +10,8 @@ from typing import Annotated, Literal
 import pytest
 from hypothesis import given, strategies as st
 
-from bumpymap.core import share_text, shares_text, write_csv
-from bumpymap.core.errors import UsageError
-from bumpymap.core.files import Each, Nullable, Number, parse_json, shape_fault
+from bumpymap.core import Number, UsageError, parse_json, share_text, shares_text, write_csv
+from bumpymap.core.files import Each, Nullable, shape_fault
 from bumpymap.core.settings import Setting, check_settings, read_settings_file, read_toml, settings_of_call
 
 Colour = Literal["red", "blue"]

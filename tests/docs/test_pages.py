@@ -17,14 +17,10 @@ from route_maps import write_folder
 
 import bumpymap
 from bumpymap.cli import main
-from bumpymap.core import BANDS, UsageError
+from bumpymap.core import BANDS, BARRED_TEXT, CLASS_NAMES, OBJECT_NAMES, REASON_TEXT, UsageError, read_settings_file
 from bumpymap.core.config import MapConfig
-from bumpymap.core.settings import read_settings_file
-from bumpymap.core.types import BARRED_TEXT, CLASS_NAMES, OBJECT_NAMES, REASON_TEXT
-from bumpymap.lab import calibration_jobs
-from bumpymap.lab.settings import CalibrationSettings
-from bumpymap.layers import SurveyRow
-from bumpymap.layers.colours import CLASS_COLOURS
+from bumpymap.lab import CalibrationSettings, calibration_jobs
+from bumpymap.layers import CLASS_COLOURS, SurveyRow
 from bumpymap.layers.placement import MAX_PIXELS, MAX_TILES
 from bumpymap.layers.scan_folder import COLUMNS, SCAN_CLASS_NAMES, SCAN_COLOURS
 from bumpymap.rating import Vehicle

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from bumpymap.core import SilentProgress
-from bumpymap.core.errors import BumpymapError, OutputError, UsageError
+from bumpymap.core import BumpymapError, OutputError, SilentProgress, UsageError
 from bumpymap.lab.settings import CalibrationSettings, DriveSettings
 from bumpymap.lab.simulate import calibrate, refit as refit_module
 from bumpymap.lab.simulate.drive import PatchDrives, calibrated_settings
@@ -20,9 +19,7 @@ from bumpymap.lab.simulate.jobs import DriveJob
 from bumpymap.lab.simulate.motion_fit import SPEED_RATIOS, fit_means, motion_jobs
 from bumpymap.lab.simulate.refit import run_crossing
 from bumpymap.lab.terrains import KINDS
-from bumpymap.rating import Correction
-from bumpymap.rating.calibration import Calibration, shipped_calibrations
-from bumpymap.rating.vehicle_profile import Vehicle
+from bumpymap.rating import Calibration, Correction, Vehicle, shipped_calibrations
 
 WARTHOG = Calibration.shipped("warthog")
 SHORT = DriveSettings(settle_s=0.2, ramp_s=0.3, cruise_s=0.0, measure_s=0.6)

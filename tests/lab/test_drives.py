@@ -13,8 +13,7 @@ import pytest
 from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
-from bumpymap.core import SilentProgress
-from bumpymap.core.errors import BumpymapError, UsageError
+from bumpymap.core import BumpymapError, SilentProgress, UsageError
 from bumpymap.lab.settings import DriveSettings, Physics
 from bumpymap.lab.simulate.drive import follow
 from bumpymap.lab.simulate.jobs import drive_jobs

@@ -7,10 +7,8 @@ import pytest
 from made_frames import POINTS, ring_of_ground, write_rellis
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.core.scan_types import Scan
-from bumpymap.lab import LABEL_SETS
-from bumpymap.lab.settings import ScanTrainSettings
+from bumpymap.core import BadInputError, Scan, UsageError
+from bumpymap.lab import LABEL_SETS, ScanTrainSettings
 from bumpymap.scan.learned import CHANNELS, MEASURES, infer
 
 torch = pytest.importorskip("torch", reason="torch comes with the extra 'learn'")

@@ -26,9 +26,7 @@ from small_surveys import SIDES, files_in
 from bumpymap.api import open_layers
 from bumpymap.change import diff_surveys
 from bumpymap.check import check_drives
-from bumpymap.core import ExportSettings
-from bumpymap.core.errors import BadInputError, OutputError
-from bumpymap.core.files import atomic, write_together
+from bumpymap.core import BadInputError, ExportSettings, OutputError, atomic, write_together
 from bumpymap.layers import check_extent, check_folder, open_map, read_areas, read_points, write_products
 from bumpymap.layers.folder import write_raster
 from bumpymap.layers.manifest import describe_file, describe_input, software_versions

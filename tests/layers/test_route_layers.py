@@ -20,8 +20,7 @@ from small_surveys import files_in
 from tile_maps import CORNERS, FIGURES, UTM, MadeUpMap, make_route
 
 from bumpymap.check.pipeline import agreement_of
-from bumpymap.core import CLASS_NAMES, BadInputError, Frame, Georeference, SeenSizes, sector_bounds
-from bumpymap.core.errors import OutputError
+from bumpymap.core import CLASS_NAMES, BadInputError, Frame, Georeference, OutputError, SeenSizes, sector_bounds
 from bumpymap.layers import check_scan_folder, move_products, name_frames, open_accumulated
 from bumpymap.layers.check_files import NOT_COMPARED, OFF_KINDS, MapOffset, place_stretches, write_stretches
 from bumpymap.layers.route_files import PROFILE_COLUMNS, track_points, write_gpx, write_profile, write_route_geojson

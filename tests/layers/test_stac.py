@@ -22,8 +22,7 @@ from route_maps import RUN
 from small_surveys import files_in
 
 from bumpymap.core.types import Georeference
-from bumpymap.layers import Placement, open_map, write_products
-from bumpymap.layers.products import PRODUCT_NAMES
+from bumpymap.layers import PRODUCT_NAMES, Placement, open_map, write_products
 from bumpymap.layers.stac import write_collection, write_item
 from bumpymap.views import write_map_views
 

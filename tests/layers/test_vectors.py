@@ -15,12 +15,10 @@ from pyproj import CRS, Transformer
 from route_maps import UTM, bare_map
 from scipy import ndimage
 
-from bumpymap.core import BadInputError
-from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, Barred, Georeference, Reason
-from bumpymap.layers import read_areas, read_points, tiles_in
-from bumpymap.layers.placement import Placement
+from bumpymap.core import CLASS_NAMES, NO_CLASS, REASON_TEXT, BadInputError, Barred, Georeference, Reason
+from bumpymap.layers import GeoJsonCoordinates, Placement, read_areas, read_points, tiles_in
 from bumpymap.layers.route_inputs import FilePoint
-from bumpymap.layers.vector import GeoJsonCoordinates, dissolve, region_columns
+from bumpymap.layers.vector import dissolve, region_columns
 from bumpytiles import Grid, TileTable, TileWindow
 
 

@@ -8,10 +8,7 @@ import small_surveys
 from patch_stacks import block_of
 from small_surveys import alike_surveys, band, layers_of, write_las
 
-from bumpymap.core import install_command
-from bumpymap.core.config import CsfSettings
-from bumpymap.core.errors import UsageError
-from bumpymap.core.types import OBSTACLE, Barred
+from bumpymap.core import OBSTACLE, Barred, CsfSettings, UsageError, install_command
 from bumpymap.patches import close_filter, cloth, mark_ground, require_filter
 from bumpymap.survey import Budget
 from bumpytiles import Grid

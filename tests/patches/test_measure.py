@@ -13,9 +13,8 @@ from patch_stacks import block_of, joined_in_order
 from scipy.stats import binned_statistic_2d
 from sklearn.linear_model import RANSACRegressor
 
-from bumpymap.core import loops
-from bumpymap.core.config import FeatureSettings
-from bumpymap.core.types import OBSTACLE, POINT_DECK, POINT_GROUND, POINT_OTHER, SEEN, UNDECIDED, Reason, VehicleBody
+from bumpymap.core import POINT_GROUND, POINT_OTHER, SEEN, FeatureSettings, Reason, loops
+from bumpymap.core.types import OBSTACLE, POINT_DECK, UNDECIDED, VehicleBody
 from bumpymap.patches import decks_as_ground, find_objects, measure, measure_thin
 from bumpymap.readers import ReadOptions, open_survey
 from bumpytiles import Grid, TileBuckets, photo_of

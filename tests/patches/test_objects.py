@@ -24,8 +24,7 @@ from scenes import (
     wall,
 )
 
-from bumpymap.core.config import FeatureSettings
-from bumpymap.core.types import CANOPY, FREE, OBSTACLE, SEEN, UNDECIDED, UNSEEN, VehicleBody
+from bumpymap.core import CANOPY, FREE, OBSTACLE, SEEN, UNDECIDED, UNSEEN, FeatureSettings, VehicleBody
 from bumpymap.patches.features import find_objects, measure, settle_solids
 from bumpymap.patches.standing import find_in_relief, find_standing, leave_out_standing, take_off_standing
 from bumpytiles import Grid

@@ -8,17 +8,14 @@ from cost_maps import patch_stack
 from hypothesis import given, strategies as st
 from scipy.special import ndtr
 
-from bumpymap.core.config import FeatureSettings
-from bumpymap.core.errors import UsageError
-from bumpymap.core.types import NO_CLASS, TEXTURES, Barred, CostRule, Georeference, Reason
+from bumpymap.core import NO_CLASS, TEXTURES, Barred, CostRule, FeatureSettings, Georeference, Reason, UsageError
 from bumpymap.lab.simulate.ride_fit import survey_terrains
 from bumpymap.lab.terrains import make_terrain
 from bumpymap.patches.features import measure
-from bumpymap.rating import RideModel, Vehicle, apply_steps, find_calibration
-from bumpymap.rating.calibration import Calibration
+from bumpymap.rating import Calibration, RideModel, Vehicle, apply_steps, find_calibration, rate, with_floor
 from bumpymap.rating.steps import STEP_COLUMNS
-from bumpymap.rating.textures import PAPER_TABLE, rate, rate_as_paper
-from bumpymap.rating.vehicle_profile import Floor, with_floor
+from bumpymap.rating.textures import PAPER_TABLE, rate_as_paper
+from bumpymap.rating.vehicle_profile import Floor
 
 SCALE = {"flat": 0.01, "low_noise": 0.1, "noise_sin": 0.4, "high_noise": 0.8}
 LADDER = (0.02, 0.1, 0.5, 2.5)

@@ -9,8 +9,7 @@ import pytest
 from driven_stretches import driven_stretches
 
 from bumpymap.core import BadInputError
-from bumpymap.rating import Calibration, Correction, RideModel, update_from_drives
-from bumpymap.rating.calibration import shipped_calibrations
+from bumpymap.rating import Calibration, Correction, RideModel, Rides, shipped_calibrations, update_from_drives
 from bumpymap.rating.drive_update import (
     DriveEvidence,
     DrivePrior,
@@ -20,7 +19,6 @@ from bumpymap.rating.drive_update import (
     moved_calibration,
     respond,
 )
-from bumpymap.rating.ride.motion_operator import Rides
 from bumpymap.rating.ride.thin import THIN_COLUMNS, Strength, ThinModel
 
 CALIBRATION = Calibration.shipped("warthog")

@@ -7,8 +7,7 @@ import pytest
 from cost_maps import patch_stack
 from scipy.ndimage import map_coordinates
 
-from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.core.types import TEXTURES, Reason
+from bumpymap.core import TEXTURES, BadInputError, Reason, UsageError
 from bumpymap.lab.terrains import make_textures
 from bumpymap.rating.textures import TextureModel, classify
 from bumpytiles import Grid

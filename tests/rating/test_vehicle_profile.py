@@ -5,13 +5,8 @@ import json
 import pytest
 
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.rating.vehicle_profile import (
-    ESTIMATED,
-    Vehicle,
-    estimated_values,
-    shipped_profiles,
-    write_profile_template,
-)
+from bumpymap.rating import Vehicle, estimated_values, shipped_profiles
+from bumpymap.rating.vehicle_profile import ESTIMATED, write_profile_template
 
 
 @pytest.fixture

@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, strategies as st
 from survey_kinds import KINDS, batches_of, table_of, write_kind
 
-from bumpymap.core import loops
-from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.core import BadInputError, UsageError, loops
 from bumpymap.readers import LineSums, PointStats, ReadOptions, cell_indices, hash_survey, open_survey, point_stats
 from bumpymap.readers.point_stats import LinedPoints
 from bumpymap.readers.point_table import convert_points

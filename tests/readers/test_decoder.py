@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bumpymap.core import processes
-from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.core.processes import Child, Guard, SharedMemory
+from bumpymap.core import BadInputError, Child, UsageError, processes
+from bumpymap.core.processes import Guard, SharedMemory
 from bumpymap.readers import decoder, open_survey
 from bumpymap.readers.decoder import Decoder
 

@@ -13,8 +13,7 @@ pytest.importorskip("rosbags")
 from bags import header, imu, message, odometry, write_bag, write_ros1
 
 from bumpymap.core import BadInputError, missing_resource
-from bumpymap.readers import read_drive
-from bumpymap.readers.raw_scans import BagReader
+from bumpymap.readers import BagReader, read_drive
 
 CODES = {"uint64_t": "Q", "float": "f", "double": "d", "int32_t": "i", "uint8_t": "B", "bool": "?"}
 MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35\x01"

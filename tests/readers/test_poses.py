@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from bumpymap.core import LONGEST_GAP_S, NEAREST_S, PoseTrack, Scan
-from bumpymap.core.errors import BadInputError
+from bumpymap.core import LONGEST_GAP_S, NEAREST_S, BadInputError, PoseTrack, Scan
 from bumpymap.readers import deskew, files_beside_poses, read_poses
 from bumpymap.readers.poses import _read_file as read_pose_file
 

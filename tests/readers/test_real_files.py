@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from survey_kinds import read_points
 
-from bumpymap.core import common_georeference, horizontal_of
-from bumpymap.core.errors import BadInputError
+from bumpymap.core import BadInputError, common_georeference, horizontal_of
 from bumpymap.readers import find_surveys, open_survey
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "data"

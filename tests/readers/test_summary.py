@@ -8,10 +8,7 @@ import pytest
 from survey_kinds import KINDS, write_kind
 
 import bumpymap.readers.las as las_module
-from bumpymap.core import THIN_SEEN
-from bumpymap.core.config import FeatureSettings
-from bumpymap.core.errors import BadInputError
-from bumpymap.core.types import Reason
+from bumpymap.core import THIN_SEEN, BadInputError, FeatureSettings, Reason
 from bumpymap.patches import measure, measure_thin
 from bumpymap.readers import (
     BLANK,

@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from bumpymap.core import BadInputError, Robot, UsageError
 from bumpymap.layers import open_accumulated
-from bumpymap.scan.config import ScanConfig
+from bumpymap.scan import ScanConfig, scan_frames
 from bumpymap.scan.merge import MOST_GROUND, MOST_OTHERS, DriveMerge, place_points
-from bumpymap.scan.pipeline import scan_frames
 
 CAMERA = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 PARKED, TRUCK = (12.07, 8.57, 0.0, 4.0, 1.8, 1.5), (22.0, -1.5, 0.6, 6.0, 2.4, 3.0)

@@ -19,8 +19,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from small_surveys import SIDES
 
-from bumpymap.core import PolarSettings, Robot, SilentProgress
-from bumpymap.core.errors import BadInputError, OutputError, UsageError
+from bumpymap.core import BadInputError, OutputError, PolarSettings, Robot, SilentProgress, UsageError
 from bumpymap.layers import part_path
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.readers import read_scan

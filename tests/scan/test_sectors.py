@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings as examples, strategies as st
 
-from bumpymap.core import GridSettings, PolarSettings, Scan
-from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.core import BadInputError, GridSettings, PolarSettings, Scan, UsageError
 from bumpymap.lab.label_sets import LABEL_SETS
 from bumpymap.readers import read_scan
 from bumpymap.scan import ScanClassifier, classify_filter, classify_learned, polar_sectors

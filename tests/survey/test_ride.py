@@ -18,8 +18,7 @@ import bumpymap
 from bumpymap.core import INCLUDED_PIXELS, MapConfig, UsageError, with_pixels
 from bumpymap.lab.terrains import fractal
 from bumpymap.layers import open_map
-from bumpymap.rating import DRIVE_LOG_SD, Calibration, RideModel
-from bumpymap.rating.calibration import shipped_calibrations
+from bumpymap.rating import DRIVE_LOG_SD, Calibration, RideModel, shipped_calibrations
 from bumpymap.survey.tile_rating import RatingModels
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("without_views")]

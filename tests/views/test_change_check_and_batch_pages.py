@@ -23,12 +23,10 @@ from survey_pairs import COLS, ROWS, survey
 import bumpymap
 from bumpymap.check.pipeline import write_check
 from bumpymap.core import CHANGE_KINDS, CLASS_NAMES, Georeference
-from bumpymap.layers import SurveyRow, map_facts
-from bumpymap.layers.check_files import MapOffset
-from bumpymap.views import SurveyView, check_headline, read_thumbnail, write_change_report
+from bumpymap.layers import MapOffset, SurveyRow, map_facts
+from bumpymap.views import SurveyView, check_headline, index_page, read_thumbnail, write_change_report
 from bumpymap.views.light import levelled
 from bumpymap.views.page import change_page
-from bumpymap.views.page.batch_page import index_page
 from bumpymap.views.page.change_page import NOT_COMPARED
 
 

@@ -25,11 +25,8 @@ from tile_maps import UTM, MadeUpMap, make_route
 
 import bumpymap
 from bumpymap.check.pipeline import write_check
-from bumpymap.core import BARRED_TEXT, CHANGE_KINDS, CLASS_NAMES, NO_CLASS, OBJECT_NAMES, REASON_TEXT
-from bumpymap.core.types import Georeference
-from bumpymap.layers import colours, open_map, write_products
-from bumpymap.layers.check_files import OFF_KINDS, MapOffset
-from bumpymap.layers.products import PRODUCT_NAMES
+from bumpymap.core import BARRED_TEXT, CHANGE_KINDS, CLASS_NAMES, NO_CLASS, OBJECT_NAMES, REASON_TEXT, Georeference
+from bumpymap.layers import OFF_KINDS, PRODUCT_NAMES, MapOffset, colours, open_map, write_products
 from bumpymap.rating import Calibration
 from bumpymap.route.output import write_route
 from bumpymap.views import write_map_views

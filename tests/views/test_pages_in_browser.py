@@ -14,11 +14,8 @@ from page_outline import Outline, ReadPage
 from pyproj import Transformer
 from route_maps import copy_folder, list_anew, plant_photo
 
-from bumpymap.layers import RideScale, SurveyRow
-from bumpymap.layers.check_files import MapOffset
-from bumpymap.layers.colours import OFF_COLOURS
-from bumpymap.views import write_report
-from bumpymap.views.page.batch_page import index_page
+from bumpymap.layers import OFF_COLOURS, MapOffset, RideScale, SurveyRow
+from bumpymap.views import index_page, write_report
 
 pytestmark = pytest.mark.chromium
 WIDE, PHONE, TABLET = (1440, 900), (390, 844), (820, 1180)

@@ -10,8 +10,7 @@ from small_surveys import run, write_survey
 from tile_maps import MadeUpMap
 
 from bumpymap.core import NO_TILE, Barred, PolarSettings, Scan, sector_bounds
-from bumpymap.layers import open_map
-from bumpymap.layers.colours import CLOSED_COLOUR, UNKNOWN_COLOUR, RideScale
+from bumpymap.layers import CLOSED_COLOUR, UNKNOWN_COLOUR, RideScale, open_map
 from bumpymap.layers.scan_folder import SCAN_COLOURS, SECTOR_STATES, point_styles, sector_states
 from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.views import space

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from bumpymap.core import BadInputError
-from bumpymap.rating import Calibration, Correction, MotionModel, Rides, ThinModel, subtract_noise
-from bumpymap.rating.calibration import shipped_calibrations
+from bumpymap.rating import Calibration, Correction, MotionModel, Rides, ThinModel, shipped_calibrations, subtract_noise
 
 SHIPPED = Calibration.shipped("warthog")
 RECORD = SHIPPED.ride

@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 
-from bumpymap.core import loops
-from bumpymap.core.config import FeatureSettings
+from bumpymap.core import FeatureSettings, loops
 from bumpymap.lab.simulate.ride_fit import survey_terrains
 from bumpymap.lab.terrains import Terrain, make_terrain
 from bumpymap.patches.features import measure
-from bumpymap.rating import RideOperator, denoise, roll_over
-from bumpymap.rating.vehicle_profile import Vehicle
+from bumpymap.rating import RideOperator, Vehicle, denoise, roll_over
 
 OPERATOR = RideOperator.of(Vehicle.load("warthog"), 3.0, 15)
 PLANE = Terrain("plane", np.zeros((60, 60)), 3.0)

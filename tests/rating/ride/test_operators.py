@@ -7,10 +7,9 @@ import pytest
 from scipy.ndimage import grey_dilation, map_coordinates
 from scipy.signal import butter, freqs
 
-from bumpymap.rating import MotionOperator, RideOperator, felt_response, move_over, roll_over
+from bumpymap.rating import MotionOperator, RideOperator, Vehicle, felt_response, move_over, roll_over
 from bumpymap.rating.ride.motion_operator import weighting_wk
 from bumpymap.rating.ride.operator import chassis_response, interpolation
-from bumpymap.rating.vehicle_profile import Vehicle
 
 WARTHOG = Vehicle.load("warthog")
 RIDE, MOTION = RideOperator.of(WARTHOG, 3.0, 15), MotionOperator.of(WARTHOG, 3.0, 15, (0.5, 2.0))

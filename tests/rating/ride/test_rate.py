@@ -5,16 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bumpymap.core.config import FeatureSettings
-from bumpymap.core.types import NO_CLASS, interval_log_sd
+from bumpymap.core import NO_CLASS, FeatureSettings, interval_log_sd
 from bumpymap.lab.simulate.ride_fit import survey_terrains
 from bumpymap.lab.terrains import make_terrain
 from bumpymap.patches.features import measure
-from bumpymap.rating import RideModel
-from bumpymap.rating.calibration import Calibration
+from bumpymap.rating import DRIVE_LOG_SD, Calibration, RideModel, TextureModel, classify
 from bumpymap.rating.ride.correction import Prediction
-from bumpymap.rating.ride.rate import DRIVE_LOG_SD, interval
-from bumpymap.rating.textures import TextureModel, classify
+from bumpymap.rating.ride.rate import interval
 
 CALIBRATION = Calibration.shipped("warthog")
 MODEL = RideModel(CALIBRATION)

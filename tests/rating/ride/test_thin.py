@@ -9,8 +9,7 @@ from bumpymap.core.types import NO_CLASS, Reason
 from bumpymap.lab.simulate.model import relief_and_slope
 from bumpymap.lab.simulate.ride_fit import strengths_of, survey_columns
 from bumpymap.lab.terrains import make_terrain
-from bumpymap.rating import BlockRating, RideModel, rate_thin, roll_over
-from bumpymap.rating.calibration import Calibration
+from bumpymap.rating import BlockRating, Calibration, RideModel, rate_thin, roll_over
 from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel, is_rateable
 
 CALIBRATION = Calibration.shipped("warthog")

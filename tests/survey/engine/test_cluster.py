@@ -18,8 +18,7 @@ import pytest
 from small_surveys import killed_at, layers_of, run, write_las
 
 import bumpytiles
-from bumpymap.core import install_command
-from bumpymap.core.errors import OutputError, UsageError
+from bumpymap.core import OutputError, UsageError, install_command
 from bumpymap.readers import ReadOptions, hash_survey, identity
 from bumpymap.survey.engine.block_work import BlockWork
 from bumpymap.survey.engine.cluster import (

@@ -13,10 +13,8 @@ import pytest
 from small_surveys import files_in, killed_at, layers_of, run, write_las
 
 from bumpymap.cli._output import as_options
-from bumpymap.core import MapConfig, UsageError, memory as memory_module, run_folder
-from bumpymap.core.errors import OutputError
-from bumpymap.core.processes import Child
-from bumpymap.core.run_folder import RunFolder, is_interrupted, work_folder
+from bumpymap.core import Child, MapConfig, OutputError, RunFolder, UsageError, memory as memory_module, run_folder
+from bumpymap.core.run_folder import is_interrupted, work_folder
 from bumpymap.layers import check_folder
 from bumpymap.readers.las import LasSurvey
 from bumpymap.survey import with_memory
