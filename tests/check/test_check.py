@@ -15,10 +15,9 @@ from scipy.stats import spearmanr
 from small_surveys import run
 from tile_maps import MadeUpMap
 
-from bumpymap.check import check_drives
 from bumpymap.check.inertial import even_imu
 from bumpymap.check.measure import find_standing, measure_drive, rough_speed
-from bumpymap.check.pipeline import agreement_of, write_check
+from bumpymap.check.pipeline import agreement_of, check_drives, write_check
 from bumpymap.check.places import local_metres, metre_places, places_on_map
 from bumpymap.check.stretches import cut_stretches
 from bumpymap.core import BadInputError, CheckConfig, ImuTrack, PlaceTrack, UsageError, WheelTrack

@@ -13,20 +13,8 @@ import rasterio
 from pyproj import CRS
 from small_surveys import run, write_survey
 
-from bumpymap.core import (
-    CrsStatement,
-    GivenCrs,
-    Place,
-    common_georeference,
-    georeference,
-    parse_crs,
-    same_crs,
-    stated_crs,
-    statement_from_wkt,
-)
-from bumpymap.core.crs import place_notes, utm_epsg
-from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.core.types import Georeference
+from bumpymap.core import BadInputError, Georeference, Place, UsageError, common_georeference, same_crs, stated_crs
+from bumpymap.core.crs import CrsStatement, GivenCrs, georeference, parse_crs, place_notes, statement_from_wkt, utm_epsg
 
 pytestmark = pytest.mark.usefixtures("without_views")
 

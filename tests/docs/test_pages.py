@@ -24,8 +24,7 @@ from bumpymap.layers import CLASS_COLOURS, SurveyRow
 from bumpymap.layers.placement import MAX_PIXELS, MAX_TILES
 from bumpymap.layers.scan_folder import COLUMNS, SCAN_CLASS_NAMES, SCAN_COLOURS
 from bumpymap.rating import Vehicle
-from bumpymap.readers import parse_columns
-from bumpymap.readers.drive_signals import NAMES, QUANTITIES, UNITS
+from bumpymap.readers.drive_signals import NAMES, QUANTITIES, UNITS, parse_columns
 from bumpymap.scan.config import SCAN_PRODUCTS, ScanConfig
 from bumpymap.scan.pipeline import scan_frames
 from bumpymap.survey.batch.run import list_surveys

@@ -27,11 +27,10 @@ from bumpymap.api import open_layers
 from bumpymap.change import diff_surveys
 from bumpymap.check import check_drives
 from bumpymap.core import BadInputError, ExportSettings, OutputError, atomic, write_together
-from bumpymap.layers import check_extent, check_folder, open_map, read_areas, read_points, write_products
-from bumpymap.layers.folder import write_raster
-from bumpymap.layers.manifest import describe_file, describe_input, software_versions
-from bumpymap.layers.placement import MAX_TILES
-from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES, MapFile
+from bumpymap.layers import describe_file, describe_input, open_map, read_areas, read_points, software_versions
+from bumpymap.layers.folder import write_products, write_raster
+from bumpymap.layers.placement import MAX_TILES, check_extent
+from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES, MapFile, check_folder
 from bumpymap.layers.tile_table import write_tiles
 from bumpymap.views import export_map, write_map_views, write_report
 from bumpytiles import Grid, TileWindow

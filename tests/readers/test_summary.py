@@ -13,7 +13,6 @@ from bumpymap.patches import measure, measure_thin
 from bumpymap.readers import (
     BLANK,
     GROUND,
-    PointSummaryBuilder,
     ReadOptions,
     UnclassifiedPart,
     find_surveys,
@@ -21,7 +20,7 @@ from bumpymap.readers import (
     open_survey,
     summary as module,
 )
-from bumpymap.readers.summary import thin_rule
+from bumpymap.readers.summary import PointSummaryBuilder, thin_rule
 from bumpytiles import Grid, TileBuckets
 
 

@@ -20,9 +20,8 @@ from bumpymap.core import FeatureSettings, Reason, SeenSizes, TooUnknownError
 from bumpymap.layers import MapSummary, ZoneCounts, write_products as write
 from bumpymap.readers import LineSums, ReadOptions, open_survey
 from bumpymap.readers.point_stats import LinedPoints
-from bumpymap.survey import Budget, FlightLines, MapResult, Outcome, advise, compare_lines, estimate, ground_line
-from bumpymap.survey.flight_lines import describe_lines
-from bumpymap.survey.pipeline import survey_record
+from bumpymap.survey import Budget, FlightLines, Outcome, advise, compare_lines, describe_lines, estimate, ground_line
+from bumpymap.survey.pipeline import MapResult, survey_record
 from bumpymap.views import write_map_views
 from bumpytiles import Grid
 

@@ -17,20 +17,8 @@ from small_surveys import band, run, write_las
 from walls import PIXELS, TILE_SIZE, Wall
 
 import bumpymap
-from bumpymap.core import (
-    OBSTACLE,
-    Barred,
-    SeenSizes,
-    VehicleBody,
-    corners_join,
-    density_for,
-    obstacle_reach,
-    smallest_object,
-    smallest_step,
-)
-from bumpymap.core.config import MapConfig
-from bumpymap.core.interrupts import SilentProgress
-from bumpymap.core.types import rated_columns
+from bumpymap.core import MapConfig, SeenSizes, SilentProgress, density_for, smallest_object, smallest_step
+from bumpymap.core.types import OBSTACLE, Barred, VehicleBody, corners_join, obstacle_reach, rated_columns
 from bumpymap.layers import open_map
 from bumpymap.rating import find_steps
 from bumpymap.survey import tile_rating

@@ -29,8 +29,7 @@ from bumpymap.core import BARRED_TEXT, CHANGE_KINDS, CLASS_NAMES, NO_CLASS, OBJE
 from bumpymap.layers import OFF_KINDS, PRODUCT_NAMES, MapOffset, colours, open_map, write_products
 from bumpymap.rating import Calibration
 from bumpymap.route.output import write_route
-from bumpymap.views import write_map_views
-from bumpymap.views.gis.project import write_project, write_styles
+from bumpymap.views.gis.project import write_map_views, write_project, write_styles
 
 RECORD = RUN | {"metres_per_unit": {"horizontal": 1.0}, "cost": {"speeds_mps_at_c_r_radpm": [[2.0, 0.1]]}}
 INTERVALS = ("under 0.1", "0.1 to 0.2", "0.2 to 0.4", "0.4 and more, or too steep, or drives fail")

@@ -17,8 +17,7 @@ from bumpymap.core import Child, MapConfig, OutputError, RunFolder, UsageError, 
 from bumpymap.core.run_folder import is_interrupted, work_folder
 from bumpymap.layers import check_folder
 from bumpymap.readers.las import LasSurvey
-from bumpymap.survey import with_memory
-from bumpymap.survey.engine.budget import Workspace
+from bumpymap.survey.engine.budget import Workspace, with_memory
 from bumpymap.survey.engine.collector import Checkpoints
 from bumpytiles import Pack
 
