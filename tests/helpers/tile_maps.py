@@ -8,18 +8,8 @@ import numpy as np
 from pyproj import CRS
 from scipy.ndimage import distance_transform_edt
 
-from bumpymap.core import (
-    NO_TILE,
-    OBSTACLE,
-    Barred,
-    CostRule,
-    Georeference,
-    Route,
-    RouteFigures,
-    RouteProfile,
-    RouteVehicle,
-    TileField,
-)
+from bumpymap.core.route_types import Route, RouteFigures, RouteProfile, RouteVehicle, TileField
+from bumpymap.core.types import NO_TILE, OBSTACLE, Barred, CostRule, Georeference
 from bumpymap.layers import MapReader
 from bumpytiles import Grid, TileWindow
 

@@ -1,4 +1,4 @@
-"""The ride model: its operators against slow walks and closed forms, correction, noise and thin surveys, other speeds."""
+"""The ride model: operators against slow walks and closed forms, correction, noise, thin surveys, other speeds."""
 
 import json
 from dataclasses import fields, replace
@@ -15,17 +15,8 @@ from bumpymap.lab.simulate.model import relief_and_slope
 from bumpymap.lab.simulate.ride_fit import strengths_of, survey_columns, survey_terrains
 from bumpymap.lab.terrains import Terrain, make_terrain
 from bumpymap.patches.features import measure
-from bumpymap.rating import (
-    BlockRating,
-    Calibration,
-    MotionModel,
-    TextureModel,
-    at_speed,
-    classify,
-    felt_response,
-    find_strengths,
-    shipped_calibrations,
-)
+from bumpymap.rating import BlockRating, MotionModel, TextureModel, at_speed, classify, felt_response, find_strengths
+from bumpymap.rating.calibration import Calibration, shipped_calibrations
 from bumpymap.rating.ride.correction import Correction, Prediction, subtract_noise
 from bumpymap.rating.ride.motion_operator import MotionOperator, Rides, move_over, roll_over, weighting_wk
 from bumpymap.rating.ride.operator import RideOperator, chassis_response, interpolation

@@ -1,15 +1,27 @@
-"""Scans: every format, files that are none, columns of .bin files, times of points, the order of frames."""
+"""Scans and poses in every format and from bags: times and order of points and frames, deskewing, what is refused."""
 
+import re
+import shutil
+import sqlite3
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bags import LIDAR, as_rclpy, cloud, lidar_rows, odometry, transforms, write_bag
+from hypothesis import given, settings, strategies as st
+from scipy.spatial.transform import Rotation, Slerp
 from survey_kinds import TABLES, write_table
 
-from bumpymap.core import BadInputError, Dropped, Robot, UsageError
-from bumpymap.readers import find_frames, read_scan
-from bumpymap.readers.raw_scans import point_seconds
+from bumpymap.core import LONGEST_GAP_S, NEAREST_S, BadInputError, Robot, Scan, UsageError, install_command
+from bumpymap.core.scan_types import Dropped, PoseTrack
+from bumpymap.readers import BagReader, files_beside_poses, read_poses
+from bumpymap.readers.poses import _read_file as read_pose_file
+from bumpymap.readers.raw_scans import point_seconds, points_of, read_cloud
+from bumpymap.readers.scans import BagTopics, deskew, find_frames, find_sources, read_message, read_scan
 
 # ---- formats ----
 
@@ -288,3 +300,586 @@ def test_what_cannot_be_taken_is_refused(tmp_path):
     ):
         with pytest.raises(BadInputError, match=says):
             find_frames(places)
+
+
+TURNS = Rotation.random(6, random_state=3)
+PLACES = np.random.default_rng(4).normal(size=(6, 3)) * 1e4
+QUATS = TURNS.as_quat()
+TIMES = 1_700_000_000.25 + 0.5 * np.arange(6)
+
+
+def as_poses(turns, places):
+    poses = np.tile(np.eye(4), (len(places), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = turns.as_matrix(), places
+    return poses
+
+
+MATRICES = as_poses(TURNS, PLACES)
+
+
+def write(path, rows, header=None, separator=","):
+    lines = [separator.join(f"{value!r}" if isinstance(value, float) else str(value) for value in row) for row in rows]
+    path.write_text("\n".join([*([header] if header else []), *lines]) + "\n")
+    return path
+
+
+def numbers(*columns):
+    return [list(map(float, row)) for row in np.column_stack(columns)]
+
+
+def kitti_rows(poses):
+    return poses[:, :3].reshape(-1, 12).tolist()
+
+
+FORMATS = {
+    "kitti": (kitti_rows(MATRICES), None, " "),
+    "tum": (numbers(TIMES, PLACES, QUATS), None, " "),
+    "tum with a remark": (numbers(TIMES, PLACES, QUATS), "# timestamp tx ty tz qx qy qz qw", " "),
+    "tum with commas": (numbers(TIMES, PLACES, QUATS), "# time,x,y,z,qx,qy,qz,qw", ","),
+}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_is_the_same_poses_and_times(tmp_path, name):
+    times, poses, is_kitti = read_pose_file(write(tmp_path / "p", *FORMATS[name]))
+    np.testing.assert_allclose(poses, MATRICES, atol=1e-9)
+    assert (times is None) == is_kitti == (name == "kitti")
+    if times is not None:
+        np.testing.assert_allclose(times, TIMES, atol=1e-6)
+
+
+def kitti_row(**change):
+    row = [1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0]
+    for place, value in change.items():
+        row[int(place[1:])] = value
+    return " ".join(map(str, row))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("# nothing but a remark\n", "empty"),
+        ("1 2 3\n", "3 numbers; 12 are required.*TUM"),
+        (kitti_row(_3="nan"), "not a finite number"),
+        (kitti_row(_0=-1.0), "not a rotation"),
+        ("time,x,y,z,qx,qy,qz,qw\n0,1,2,3,0,0,0,1\n", "something else than numbers.*without a line of names; evo_traj"),
+        ("0 1 2 3 0 0 0 0\n", "quaternion"),
+        ("0 1 2 3 0 0 0 1\n1 2 3 0 0 0 1\n", "pose 1 of .* has 7 numbers; 8"),
+        ("PK\x03\x04\0\0", "not a text file. Poses are KITTI"),
+    ],
+)
+def test_what_is_no_pose_is_refused(tmp_path, text, message):
+    (tmp_path / "p").write_text(text)
+    with pytest.raises(BadInputError, match=message):
+        read_pose_file(tmp_path / "p")
+
+
+# ---- matching ----
+
+
+def motion(times):
+    """Turns and places on a curve, x forward and z up."""
+    angle = 0.4 * times
+    turns = Rotation.from_euler("zyx", np.column_stack([angle, 0.02 * np.sin(times), 0.03 * np.cos(times)]))
+    return turns, np.column_stack([12.0 * np.sin(angle), 12.0 * (1.0 - np.cos(angle)), 0.1 * np.sin(times)])
+
+
+def drive(count=40, rate=20.0):
+    """Times and poses."""
+    times = np.arange(count) / rate
+    return times, as_poses(*motion(times))
+
+
+def tum(path, times, poses):
+    quats = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    return write(path, numbers(times, poses[:, :3, 3], quats), separator=" ")
+
+
+def files(folder, names):
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"{name}.bin" for name in names]
+    for path in paths:
+        path.write_bytes(b"")
+    return paths
+
+
+def numbered(folder, count):
+    return files(folder, [f"{number:06d}" for number in range(count)])
+
+
+def interpolated(times, poses, wanted):
+    slerp = Slerp(times, Rotation.from_matrix(poses[:, :3, :3]))
+    places = np.column_stack([np.interp(wanted, times, poses[:, axis, 3]) for axis in range(3)])
+    return as_poses(slerp(wanted), places)
+
+
+def test_interpolation_is_that_of_scipy_and_ends_where_little_is_known():
+    rng = np.random.default_rng(1)
+    times = np.cumsum(rng.uniform(0.01, 1.0, 30))
+    poses = as_poses(Rotation.random(30, random_state=2), rng.normal(size=(30, 3)))
+    wanted = np.concatenate([rng.uniform(times[0], times[-1], 500), times])
+    np.testing.assert_allclose(PoseTrack(times, poses).at(wanted), interpolated(times, poses, wanted), atol=1e-9)
+    # Two poses a moment apart tell no speed: 10 m/s, and 1 cm of noise.
+    times, poses = np.array([0.0, 1e-6, 0.1, 0.2, 0.2 + 1e-6]), np.tile(np.eye(4), (5, 1, 1))
+    poses[:, 0, 3] = [0.0, 0.01, 1.0, 2.0, 2.01]
+    beyond = PoseTrack(times, poses).at(np.array([-0.1, 0.3]))
+    np.testing.assert_allclose(beyond[:, 0, 3], [-1.0, 3.0], atol=0.03)
+    # Poses every second are enough, and rarer ones are not.
+    track = PoseTrack(np.array([0.0, 1.0, 1.5 + LONGEST_GAP_S]), np.tile(np.eye(4), (3, 1, 1)))
+    assert track.covers(np.array([0.5, 1.1, 1.6, 2.9, 3.1, 3.3])).tolist() == [True, True, False, True, True, False]
+
+
+STAMPS = [
+    lambda ns: f"{ns}",
+    lambda ns: f"{ns * 1e-9:.3f}",
+    lambda ns: f"{ns // 10**9}.{ns % 10**9:09d}",
+    lambda ns: f"{ns // 10**9}_{ns % 10**9}",
+    lambda ns: f"frame000104-{ns // 10**9}_{ns % 10**9 // 10**6:03d}",
+    lambda ns: f"n015__LIDAR_TOP__{ns // 1000}",
+]
+
+
+@pytest.mark.parametrize("stamp", STAMPS)
+def test_frames_named_by_their_time_are_matched_at_another_rate(tmp_path, stamp):
+    times, poses = drive(400)
+    wanted = np.array([3_013_000_000, 4_067_394_000, 17_777_000_000])
+    frames = files(tmp_path / "frames", [stamp(int(ns) + 17 * 10**17) for ns in wanted])
+    found = read_poses(tum(tmp_path / "p.txt", 1.7e9 + times, poses), frames)
+    assert found.matched_by == "time"
+    np.testing.assert_allclose(found.poses, interpolated(times, poses, wanted * 1e-9), atol=3e-3)
+    assert [motion.covers(np.array([0.0, 0.1])).all() for motion in found.motions] == [True] * 3
+    for motion, pose in zip(found.motions, found.poses, strict=True):
+        np.testing.assert_allclose(motion.at(np.zeros(1))[0], pose, atol=1e-6)
+
+
+@pytest.mark.parametrize("chosen", [slice(None), slice(3, 7)])
+def test_a_list_of_times_belongs_to_the_frames_of_its_sequence(tmp_path, chosen):
+    times, poses = drive(100, rate=100.0)
+    wanted = np.arange(10) * 0.0977
+    frames = numbered(tmp_path / "velodyne", 10)
+    (tmp_path / "times.txt").write_text("\n".join(f"{t:e}" for t in wanted) + "\n")
+    path = tum(tmp_path / "odometry.txt", times, poses)
+    found = read_poses(path, frames[chosen])
+    np.testing.assert_allclose(found.poses, interpolated(times, poses, wanted)[chosen], atol=1e-5)
+    for other in ("0\n1\n2\n", "once\n"):
+        (tmp_path / "times.txt").write_text(other)
+        with pytest.raises(BadInputError, match="no list of times of the 10 frames"):
+            read_poses(path, frames)
+
+
+@pytest.mark.parametrize("digits", [6, 10])
+def test_without_times_of_the_frames_the_order_counts(tmp_path, digits):
+    times, poses = drive(6)
+    path = tum(tmp_path / "p.txt", times, poses)
+    frames = files(tmp_path / "frames", [f"{number:0{digits}d}" for number in range(6)])
+    found = read_poses(path, frames)
+    assert found.matched_by == "order"
+    np.testing.assert_allclose(found.poses, poses, atol=1e-9)
+    with pytest.raises(BadInputError, match=r"6 poses, but there are 5 frames.*frames have none: give them times.txt"):
+        read_poses(path, frames[:5])
+
+
+def test_frames_without_a_pose_are_counted_and_times_that_go_back_refused(tmp_path):
+    times, poses = drive(100, rate=10.0)
+    keep = (times < 3.0) | (times > 6.0)
+    wanted = 1.7e9 + np.array([-1.0, -NEAREST_S / 2, 1.0, 3.05, 4.5, 9.95, 12.0])
+    frames = files(tmp_path / "frames", [f"{time:.2f}" for time in wanted])
+    with pytest.raises(BadInputError, match="3 of 7 frames have no pose, the first is number 0"):
+        read_poses(tum(tmp_path / "p.txt", 1.7e9 + times[keep], poses[keep]), frames)
+    frames = files(tmp_path / "first", ["1700000000"])
+    with pytest.raises(BadInputError, match="go back at pose 3"):
+        read_poses(tum(tmp_path / "p.txt", 1.7e9 + times[[0, 1, 3, 2]], poses[:4]), frames)
+    repeated = [0, 0, 1, 2]  # count once
+    found = read_poses(tum(tmp_path / "p.txt", 1.7e9 + times[repeated], poses[repeated]), frames)
+    np.testing.assert_allclose(found.poses, poses[:1], atol=1e-6)
+
+
+# ---- frames of the poses ----
+
+NEARLY_AXES = Rotation.from_matrix([[0, -1, 0], [0, 0, -1], [1, 0, 0]]) * Rotation.from_euler(
+    "xyz", (0.01, -0.02, 0.01)
+)
+TR = as_poses(NEARLY_AXES, np.array([[-0.01, -0.05, -0.29]]))[0]
+
+
+def of_camera(poses):
+    """Poses of KITTI's camera, in the frame of its first pose."""
+    lidar = np.linalg.inv(poses[0]) @ poses
+    return TR @ lidar @ np.linalg.inv(TR)
+
+
+@pytest.mark.parametrize("inside", ["", "sequences/00"])
+def test_the_camera_poses_of_kitti_become_those_of_the_lidar(tmp_path, caplog, inside):
+    """Odometry of LiDAR scans is written in KITTI's format too, and stays as it is."""
+    _, poses = drive()
+    path = write(tmp_path / "00.txt", kitti_rows(of_camera(poses)), separator=" ")
+    frames = numbered(tmp_path / "sequences/00/velodyne", 40)
+    calib = tmp_path / inside / "calib.txt"
+    calib.write_text(f"P0: {kitti_row()}\nTr: {' '.join(map(repr, map(float, TR[:3].ravel())))}\n")
+    found = read_poses(path, frames)
+    np.testing.assert_allclose(found.poses, np.linalg.inv(poses[0]) @ poses, atol=1e-9)
+    assert found.calib == calib
+    assert "calib.txt turns them into those of the LiDAR" in caplog.text
+    assert files_beside_poses(path, frames) == [calib]
+    found = read_poses(write(path, kitti_rows(poses), separator=" "), frames)
+    np.testing.assert_allclose(found.poses, poses, atol=1e-9)
+    assert found.calib is None
+
+
+def test_camera_poses_without_calib_are_refused(tmp_path):
+    times, poses = drive()
+    frames = numbered(tmp_path / "velodyne", 40)
+    message = r"poses of a camera: 100% of the way.*put the sequence's calib.txt \(with the line Tr:\) beside it"
+    for path in (
+        write(tmp_path / "poses.txt", kitti_rows(of_camera(poses)), separator=" "),
+        tum(tmp_path / "tum.txt", times, of_camera(poses)),
+    ):
+        with pytest.raises(BadInputError, match=message):
+            read_poses(path, frames)
+    for calib in ("P0: 1 2 3\n", "Tr: 1 2 3\n"):
+        (tmp_path / "calib.txt").write_text(calib)
+        with pytest.raises(BadInputError, match="is not a transform"):
+            read_poses(tmp_path / "poses.txt", frames)
+
+
+def test_backwards_uphill_and_sideways_are_a_lidar_and_a_world_that_is_not_upright_is_none(tmp_path):
+    frames, path = numbered(tmp_path / "frames", 40), tmp_path / "p.txt"
+    for axis, degrees in (("z", 180), ("z", 90), ("y", -35)):
+        turn = Rotation.from_euler(axis, degrees, degrees=True)
+        poses = as_poses(Rotation.concatenate([turn] * 40), turn.apply(np.outer(np.arange(40.0), [1.0, 0, 0])))
+        assert read_poses(write(path, kitti_rows(poses), separator=" "), frames).calib is None
+    for world in (TR, np.diag([1.0, -1.0, -1.0, 1.0])):
+        with pytest.raises(BadInputError, match="z axis of the LiDAR does not point up"):
+            read_poses(write(path, kitti_rows(world @ drive()[1]), separator=" "), frames)
+
+
+# ---- deskewing: what a sensor measures on the way lies where it sees it standing ----
+
+TRACK = PoseTrack(np.arange(-0.5, 1.5, 0.01), as_poses(*motion(np.arange(-0.5, 1.5, 0.01))))
+
+
+@pytest.mark.parametrize("first", [0.0, -0.1, -0.05])
+def test_points_are_where_the_sensor_sees_them_at_the_time_of_the_frame(first):
+    world = np.random.default_rng(2).uniform(-60.0, 60.0, (20_000, 3)) * [1.0, 1.0, 0.05]
+    time = np.linspace(first, first + 0.1, 20_000).astype(np.float32)
+    (turns, places), (turn, place) = motion(time.astype(np.float64)), motion(np.zeros(1))
+    scan = Scan(turns.inv().apply(world - places).astype(np.float32), time=time)
+    wanted = turn.inv().apply(world - place)
+    assert np.abs(scan.points - wanted).max() > 0.5
+    np.testing.assert_allclose(deskew(scan, TRACK).points, wanted, atol=1e-3)
+    assert deskew(Scan(scan.points), TRACK).points is scan.points  # without times nothing moves
+    assert deskew(scan, PoseTrack(TRACK.times + 9.0, TRACK.poses)) is scan  # nor without poses
+    empty = Scan(np.empty((0, 3), np.float32), time=np.empty(0, np.float32))
+    assert deskew(empty, TRACK) is empty
+
+
+pytest.importorskip("rosbags")
+
+
+T0 = 1_700_000_000_000_000_000
+STEP = 100_000_000
+MOUNT = (Rotation.from_euler("y", 20, degrees=True), np.array([0.3, 0.0, 0.8]))
+
+
+def points(number):
+    return np.random.default_rng(number).uniform(1, 50, (40, 3)).astype(np.float32)
+
+
+def pose(seconds):
+    return Rotation.from_euler("zyx", [0.3 * seconds, 0.05, -0.02]), np.array([2.0 * seconds, 1.0, 0.5])
+
+
+def matrix(turn, place):
+    found = np.eye(4)
+    found[:3, :3], found[:3, 3] = turn.as_matrix(), place
+    return found
+
+
+def clouds(count=6, topic="/points"):
+    """Stored 30 ms after they were measured."""
+    stamps = [T0 + n * STEP for n in range(count)]
+    return [(topic, t + 30_000_000, cloud(lidar_rows(points(n)), t, "lidar")) for n, t in enumerate(stamps)]
+
+
+def moves(count=20, topic="/odom", child="base", spare=-1, late=0):
+    """Odometry at 20 Hz from 50 ms before the first scan, each message stored late."""
+    times = [T0 + (n + spare) * STEP // 2 for n in range(count)]
+    return [(topic, t + 7_000_000, odometry(t + late, pose((t - T0) * 1e-9), child=child)) for t in times]
+
+
+MOUNTED = [("/tf_static", T0 - STEP, transforms(T0 - STEP, ("base", "lidar", MOUNT)))]
+
+
+def bag_of(folder, *parts, **how):
+    return write_bag(folder, sorted((each for part in parts for each in part), key=lambda each: each[1]), **how)
+
+
+def found_in(path, **topics):
+    return find_sources([path], BagTopics(**topics))
+
+
+def check_poses(sources, mount=MOUNT):
+    for number, source in enumerate(sources):
+        expected = matrix(*pose(number * 0.1)) @ matrix(*mount)
+        np.testing.assert_allclose(source.pose, expected, atol=1e-4)  # of the arc, 50 ms are a chord
+
+
+@pytest.mark.parametrize(
+    ("storage", "compression", "named"),
+    [
+        ("mcap", None, "folder"),
+        ("mcap", "STORAGE", "file"),
+        ("sqlite3", None, "file"),
+        ("sqlite3", "MESSAGE", "folder"),
+        ("mcap", "FILE", "folder"),
+    ],
+)
+def test_scans_and_poses_of_every_kind_of_bag(storage, compression, named, tmp_path):
+    folder = bag_of(tmp_path / "drive", MOUNTED, clouds(), moves(), storage=storage, compression=compression)
+    path = folder if named == "folder" else next(folder.glob("drive.*"))
+    sources = found_in(path)
+    assert [source.message.number for source in sources] == list(range(6))
+    assert [source.message.stamp_ns for source in sources] == [T0 + n * STEP for n in range(6)]
+    assert {source.message.frame_id for source in sources} == {"lidar"}
+    check_poses(sources)
+    bag = BagReader(path)
+    for number in (0, 1, 4, 2, 5, 5):  # forwards, back, and the same again
+        scan = read_message(bag, sources[number].message, Robot(0.0), "n")
+        np.testing.assert_array_equal(scan.points, points(number))
+        np.testing.assert_array_equal(scan.intensity, np.arange(40) % 200)
+
+
+@pytest.mark.parametrize("same_time", [False, True])
+def test_threads_read_one_bag_in_any_order(tmp_path, same_time):
+    """Messages of one time, or with no time in the header, are told apart."""
+    messages = [("/points", T0, cloud(lidar_rows(points(n)), 0)) for n in range(40)] if same_time else clouds(40)
+    folder = write_bag(tmp_path / "drive", messages)
+    bag, sources = BagReader(folder), found_in(folder)
+    assert len({source.message.stamp_ns for source in sources}) == (1 if same_time else 40)
+    order = np.random.default_rng(0).permutation(40)
+    with ThreadPoolExecutor(4) as pool:
+        scans = list(pool.map(lambda number: read_message(bag, sources[number].message, Robot(0.0), ""), order))
+    for number, scan in zip(order, scans, strict=True):
+        np.testing.assert_array_equal(scan.points, points(number))
+
+
+def test_poses_from_transforms_and_of_the_sensor_itself(tmp_path):
+    base = Rotation.random(random_state=1), np.random.default_rng(0).normal(0, 5, 3)
+    times = range(T0 - STEP, T0 + 9 * STEP, STEP // 2)
+    links = [("/tf", t, transforms(t, ("odom", "base", pose((t - T0) * 1e-9)))) for t in times]
+    links += [("/tf", t, transforms(t, ("map", "odom", base))) for t in times[::2]]
+    sources = found_in(bag_of(tmp_path / "drive", MOUNTED, clouds(), links))
+    assert {source.pose_frame for source in sources} == {"map"}
+    for number, source in enumerate(sources):
+        expected = matrix(*base) @ matrix(*pose(number * 0.1)) @ matrix(*MOUNT)
+        np.testing.assert_allclose(source.pose, expected, atol=1e-4)
+    own = bag_of(tmp_path / "own", clouds(), moves(child="lidar"))
+    check_poses(found_in(own), mount=(Rotation.identity(), np.zeros(3)))
+
+
+def test_odometry_that_is_chosen(tmp_path):
+    other = [(topic, t, odometry(t, (Rotation.identity(), np.zeros(3)))) for topic, t, _ in moves(topic="/wheels")]
+    folder = bag_of(tmp_path / "drive", MOUNTED, clouds(), moves(), other)
+    check_poses(found_in(folder, odometry="/odom"))
+    for source in found_in(folder, odometry="/wheels"):
+        np.testing.assert_allclose(source.pose, matrix(*MOUNT), atol=1e-12)
+    assert all(source.pose is None for source in found_in(folder))  # neither is the only one
+    with pytest.raises(BadInputError, match=r"/odom \(20 messages\), /wheels \(20 messages\).*`odometry='/odom'`"):
+        found_in(folder, odometry="/none")
+
+
+def test_frames_outside_of_the_poses_have_none(tmp_path, caplog):
+    folder = bag_of(tmp_path / "drive", MOUNTED, clouds(11), moves(7, spare=7))  # 0.35 to 0.65 s
+    known = [source.pose is not None for source in found_in(folder)]
+    assert known == [False, False, True, True, True, True, True, True, True, False, False]
+    assert "4 of 11 frames have no pose: relative to the first frame, frames span 0 to 1.0 s" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("parts", "noted", "says"),
+    [
+        ([], "'lidar' to one of map and odom", "no topic of type nav_msgs/msg/Odometry"),
+        ([moves()], "", r"'base'.*/tf_static.*'lidar'.*`poses='FILE'`"),
+        ([MOUNTED, moves(late=10**12)], "6 of 6 frames have no pose", "different clocks"),
+    ],
+    ids=["none", "without a mount", "of another clock"],
+)
+def test_without_usable_poses_there_are_only_frames_unless_odometry_was_named(tmp_path, caplog, parts, noted, says):
+    folder = bag_of(tmp_path / "drive", clouds(), *parts)
+    assert [source.pose for source in found_in(folder)] == [None] * 6
+    assert noted in caplog.text
+    with pytest.raises(BadInputError, match=says):
+        found_in(folder, odometry="/odom")
+
+
+def test_broken_poses_do_no_harm_where_none_are_wanted(tmp_path):
+    broken = moves()
+    broken[3][2].pose.pose.orientation.w = 7.0
+    folder = bag_of(tmp_path / "drive", MOUNTED, clouds(), broken)
+    with pytest.raises(BadInputError, match=r"poses in .*drive cannot be used: pose \d+ of /odom .* a quaternion"):
+        found_in(folder)
+    assert [source.pose for source in found_in(folder, poses=False)] == [None] * 6
+
+
+def test_the_topic_is_asked_for_where_there_are_several(tmp_path):
+    folder = bag_of(tmp_path / "drive", clouds(3), clouds(6, "/rear"))
+    with pytest.raises(BadInputError, match=r"/points \(3 messages\), /rear \(6 messages\).*`topic='/points'`"):
+        found_in(folder)
+    with pytest.raises(BadInputError, match="has no topic /front"):
+        found_in(folder, clouds=("/front",))
+    assert len(found_in(folder, clouds=("/rear",))) == 6
+    with pytest.raises(BadInputError, match=r"no topic of type sensor_msgs/msg/PointCloud2; it holds nav_msgs"):
+        found_in(write_bag(tmp_path / "other", moves()))
+
+
+def test_several_bags_are_one_drive(tmp_path):
+    first = bag_of(tmp_path / "drive_2", MOUNTED, clouds()[:3], moves()[:9]) / "drive_2.mcap"
+    later = bag_of(tmp_path / "drive_10", clouds()[3:], moves()[9:]) / "drive_10.mcap"
+    sources = find_sources([later, first, later], BagTopics())
+    assert [source.path for source in sources] == [first] * 3 + [later] * 3
+    assert [source.message.number for source in sources] == [0, 1, 2] * 2
+    check_poses(sources)
+    (tmp_path / "loose").mkdir()  # a recording that was cut off has no metadata
+    for file in (first, later):
+        shutil.copy(file, tmp_path / "loose")
+    check_poses(found_in(tmp_path / "loose"))
+
+
+@pytest.mark.parametrize("cut", [0.3, 0.9, 0.999, 0.0])
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_bag_that_was_cut_off_is_refused(storage, cut, tmp_path):
+    folder = write_bag(tmp_path / "drive", clouds(), storage)
+    file = next(file for file in folder.iterdir() if file.suffix in {".mcap", ".db3"})
+    file.write_bytes(file.read_bytes()[: int(cut * file.stat().st_size)])
+    for path in (file, folder):
+        with pytest.raises(BadInputError, match=r"cannot read the bag .*ros2 bag reindex"):
+            found_in(path)
+
+
+def test_a_bag_that_changes_while_it_is_read(tmp_path):
+    folder = write_bag(tmp_path / "drive", clouds())
+    bag, sources = BagReader(folder), found_in(folder)
+    read_message(bag, sources[0].message, Robot(), "")
+    file = folder / "drive.mcap"
+    file.write_bytes(file.read_bytes() + b"x")
+    with pytest.raises(BadInputError, match="changed while it was read"):
+        read_message(bag, sources[1].message, Robot(), "")
+
+
+def test_what_is_no_bag_or_not_alone(tmp_path):
+    folder = write_bag(tmp_path / "drive", clouds(1))
+    scan, old, none = (tmp_path / name for name in ("a.bin", "old.bag", "none.mcap"))
+    np.ones((50, 4), "<f4").tofile(scan)
+    old.write_bytes(b"#ROSBAG V2.0\n")
+    empty = write_bag(tmp_path / "empty", clouds(2), "sqlite3")
+    with sqlite3.connect(empty / "empty.db3") as base:
+        base.execute("DELETE FROM messages")
+    broken = cloud(lidar_rows(points(0)), T0)
+    broken.width = 5000
+    for places, topics, error, says in (
+        ([scan, folder], BagTopics(), UsageError, "not both"),
+        ([scan], BagTopics(("/points",)), UsageError, "`topic` and `odometry`"),
+        ([none], BagTopics(), BadInputError, "does not exist"),
+        ([old], BagTopics(), BadInputError, r"ROS 1.*rosbags-convert"),
+        ([empty], BagTopics(), BadInputError, "holds no messages"),
+    ):
+        with pytest.raises(error, match=says):
+            find_sources(places, topics)
+    (source,) = find_sources([scan], BagTopics())
+    assert (source.path, source.message, source.pose) == (scan, None, None)
+    folder = write_bag(tmp_path / "broken", [("/points", T0, broken)])
+    (source,) = found_in(folder)
+    with pytest.raises(BadInputError, match=r"message 0 of /points in .*broken: the point cloud declares 1 x 5,000"):
+        read_message(BagReader(folder), source.message, Robot(0.0), "")
+
+
+def test_without_rosbags_the_extra_is_named(tmp_path, monkeypatch):
+    folder = write_bag(tmp_path / "drive", clouds(1))
+    for name in [name for name in sys.modules if name.startswith("rosbags")]:
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(UsageError, match=re.escape(install_command("ros"))):
+        found_in(folder)
+
+
+@pytest.mark.later
+def test_memory_does_not_grow_with_the_bag(tmp_path):
+    """Of 80 scans of 3 MB, no more than a few are held at a time."""
+    rows = np.zeros(100_000, LIDAR)
+    scans = (("/points", T0 + n, cloud(rows, T0 + n)) for n in range(80))
+    folder = write_bag(tmp_path / "drive", scans, compression="STORAGE")
+    code = """if True:
+        import resource, sys
+        from pathlib import Path
+        from bumpymap.core import Robot
+        from bumpymap.readers import *
+        path, before = Path(sys.argv[1]), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        bag = BagReader(path)
+        for source in find_sources([path], BagTopics()):
+            read_message(bag, source.message, Robot(), "")
+        print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+    """
+    done = subprocess.run([sys.executable, "-c", code, str(folder)], capture_output=True, text=True, check=True)
+    assert int(done.stdout) * 1024 < 100e6  # all of them: 256 MB
+
+
+# ---- points of messages in any layout of fields, against the arrays they were made from ----
+
+
+@st.composite
+def layouts(draw):
+    """Fields in any order and at any offset, of any type, with padding after each."""
+    order = draw(st.sampled_from("<>"))
+    names = draw(st.permutations(["x", "y", "z", "intensity", "ring", "t"]))
+    names = [name for name in names if name in "xyz" or draw(st.booleans())]
+    kinds = {"intensity": ["f4", "u1", "u2"], "ring": ["u1", "u2", "i4"], "t": ["u4", "f8", "f4"]}
+    offsets, formats, end = [], [], 0
+    for name in names:
+        kind = draw(st.sampled_from(kinds.get(name, ["f4", "f8"])))
+        end += draw(st.integers(0, 5))
+        offsets.append(end)
+        formats.append(order + kind)
+        end += np.dtype(kind).itemsize
+    step = end + draw(st.integers(0, 7))
+    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": step})
+
+
+@settings(max_examples=60, deadline=None)
+@given(layouts(), st.integers(1, 4), st.integers(0, 9), st.integers(0, 40), st.integers(0, 2**32 - 1))
+def test_points_of_any_layout(dtype, height, width, padding, seed):
+    rng = np.random.default_rng(seed)
+    rows = np.zeros((height, width), dtype)
+    for name in dtype.names:
+        rows[name] = rng.uniform(0, 100, (height, width))
+    rows["y"][rng.random((height, width)) < 0.2] = np.nan
+    message = cloud(rows, row_step=width * dtype.itemsize + padding)
+    expected = np.stack([rows[axis].astype(np.float32) for axis in "xyz"], axis=-1).reshape(-1, 3)
+    for each in (message, as_rclpy(message)):
+        found = points_of(each)
+        np.testing.assert_array_equal(found, expected)
+        assert (found.dtype, found.flags.c_contiguous, found.flags.writeable) == (np.float32, True, True)
+    intensity = read_cloud(message).intensity
+    if "intensity" in dtype.names:
+        np.testing.assert_array_equal(intensity, rows["intensity"].astype(np.float32).ravel())
+    else:
+        assert intensity is None
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"data": np.zeros(100, np.uint8)}, "holds 100 bytes"),
+        ({"width": 2000}, "1 x 2,000 points of 32 bytes"),
+        ({"height": 2, "row_step": 8}, "in rows of 8"),
+        ({"point_step": 6}, "outside of its 6 bytes"),
+        ({"fields": []}, "has no x, y, z; its fields are none"),
+        ({"z": 3}, "has no z"),  # a field of several numbers is no coordinate
+    ],
+)
+def test_messages_that_contradict_themselves(change, words):
+    message = cloud(lidar_rows(np.ones((1000, 3))))
+    values = dict(change)
+    message.fields[2].count = values.pop("z", 1)
+    for name, value in values.items():
+        setattr(message, name, value)
+    with pytest.raises(BadInputError, match=words):
+        points_of(message)

@@ -27,20 +27,9 @@ from pyproj import CRS, Geod
 from small_surveys import band, files_in, write_survey
 
 import bumpymap
-from bumpymap.core import (
-    NO_TILE,
-    BadInputError,
-    Barred,
-    ExportSettings,
-    Georeference,
-    GridSettings,
-    OutputError,
-    PolarCells,
-    PolarSettings,
-    Scan,
-    UsageError,
-    cell_numbers,
-)
+from bumpymap.core import NO_TILE, Barred, Georeference, OutputError, PolarCells, Scan, UsageError, cell_numbers
+from bumpymap.core.config import ExportSettings, GridSettings, PolarSettings
+from bumpymap.core.errors import BadInputError
 from bumpymap.layers import open_map
 from bumpymap.scan import polar_sectors
 from bumpymap.views import export_map
