@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.change import DiffConfig
 from bumpymap.cli._options import PATH, Run, grouped_option, job, settings_options
 from bumpymap.cli._output import Table, option_name, print_json, print_line
 from bumpymap.core import (
     BadInputError,
+    DiffConfig,
     ExportFormat,
     ExportSettings,
     ReportSettings,
