@@ -108,7 +108,7 @@ def write_route(
     writers |= view_writers(route_layers(route), spot, source, out, "ways")
     layers = {"path": str(source.folder), "run_sha256": describe_file(source.folder / MANIFEST_NAME)["sha256"]}
     of_map = source.manifest
-    kept = {name: of_map[name] for name in ("vehicle", "calibration", "cost", "crs") if name in of_map}
+    kept: dict[str, Any] = {name: of_map[name] for name in ("vehicle", "calibration", "cost", "crs") if name in of_map}
     head = {"format": "bumpymap-route", "version": 1, **manifest, "layers": [layers], **kept}
     head |= {"routes": [_describe(route, place)], "notes": notes, "versions": software_versions()}
     return ROUTE_FILES.write(out, writers, lambda _, files: head | {"files": files}, overwrite=overwrite)
