@@ -28,7 +28,6 @@ from bumpymap.change.compare import (
     register,
     ride_change,
 )
-from bumpymap.change.settings import DiffConfig
 from bumpymap.core import (
     CHANGE_KINDS,
     CLASS_NAMES,
@@ -36,6 +35,7 @@ from bumpymap.core import (
     NO_TILE,
     BadInputError,
     Barred,
+    DiffConfig,
     Progress,
     SilentProgress,
     brief_repr,

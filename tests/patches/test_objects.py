@@ -26,8 +26,15 @@ from scenes import (
 
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import CANOPY, FREE, OBSTACLE, SEEN, UNDECIDED, UNSEEN, VehicleBody
-from bumpymap.patches.features import find_objects, measure, settle_solids
-from bumpymap.patches.standing import find_in_relief, find_standing, leave_out_standing, take_off_standing
+from bumpymap.patches.features import (
+    find_in_relief,
+    find_objects,
+    find_standing,
+    leave_out_standing,
+    measure,
+    settle_solids,
+    take_off_standing,
+)
 from bumpytiles import Grid
 
 BODY = VehicleBody(clearance_m=0.25, height_m=1.4, width_m=1.4, brush_stem_m=0.25)

@@ -20,7 +20,7 @@ from bumpymap.rating.drive_update import (
     moved_calibration,
     respond,
 )
-from bumpymap.rating.ride.motion_operator import Rides
+from bumpymap.rating.ride.operator import Rides
 from bumpymap.rating.ride.thin import THIN_COLUMNS, Strength, ThinModel
 
 CALIBRATION = Calibration.shipped("warthog")

@@ -8,8 +8,7 @@ from scipy.ndimage import grey_dilation, map_coordinates
 from scipy.signal import butter, freqs
 
 from bumpymap.rating import MotionOperator, RideOperator, felt_response, move_over, roll_over
-from bumpymap.rating.ride.motion_operator import weighting_wk
-from bumpymap.rating.ride.operator import chassis_response, interpolation
+from bumpymap.rating.ride.operator import chassis_response, interpolation, weighting_wk
 from bumpymap.rating.vehicle_profile import Vehicle
 
 WARTHOG = Vehicle.load("warthog")
