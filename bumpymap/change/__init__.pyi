@@ -1,2 +1,1 @@
 from .pipeline import ChangeResult as ChangeResult, diff_surveys as diff_surveys, find_changes as find_changes
-from .settings import DiffConfig as DiffConfig

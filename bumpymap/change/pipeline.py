@@ -28,7 +28,6 @@ from bumpymap.change.compare import (
     register,
     ride_change,
 )
-from bumpymap.change.settings import DiffConfig
 from bumpymap.core import (
     CHANGE_KINDS,
     CLASS_NAMES,
@@ -36,6 +35,7 @@ from bumpymap.core import (
     NO_TILE,
     BadInputError,
     Barred,
+    DiffConfig,
     Progress,
     SilentProgress,
     brief_repr,
@@ -240,12 +240,13 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     if not shared.any():
         raise BadInputError(f"{config.before} and {config.after} have no tile in common. Give two surveys of one site")
     cell = cell_pixels(pair, shared, surveys[0].coverage * surveys[1].coverage)
-    found = register(pair, shared, cell) if config.register else NOT_REGISTERED
-    if config.offset is not None:  # heights are what is asked for
-        found = replace(found, tilt=np.zeros(2))
-    offset = height_offset(pair, cell, found)
-    taken = offset if config.offset is None else config.offset
-    ground = ground_changes(pair, cell, 0.0 if np.isnan(taken) else taken, found)
+    with pair.before.kept_open(), pair.after.kept_open():
+        found = register(pair, shared, cell) if config.register else NOT_REGISTERED
+        if config.offset is not None:  # heights are what is asked for
+            found = replace(found, tilt=np.zeros(2))
+        offset = height_offset(pair, cell, found)
+        taken = offset if config.offset is None else config.offset
+        ground = ground_changes(pair, cell, 0.0 if np.isnan(taken) else taken, found)
     # Both have one calibration, or they could not be compared; one may say nothing of its error.
     first, second = (common_error(site.manifest) for site in (pair.before, pair.after))
     before, after = (

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.change import DiffConfig
 from bumpymap.cli._options import PATH, Run, grouped_option, job, settings_options
 from bumpymap.cli._output import Table, option_name, print_json, print_line
 from bumpymap.core import (
     BadInputError,
+    DiffConfig,
     ExportFormat,
     ExportSettings,
     ReportSettings,
@@ -318,7 +318,12 @@ def export_command(run: Run, layers: Path, out: Path, overwrite: bool) -> None:
     bumpymap export site_layers --to nav2 --out site_nav2
     bumpymap export site_layers --to plan --route route.geojson --out site_plan
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    _refuse_idle(run.changed(), run.given["to"])
+    changed, to = run.changed(), run.given["to"]
+    for name, formats in _ONLY_FOR.items():
+        if name in changed and to not in formats:
+            raise UsageError(f"{option_name(name)} has no effect with --to {to}, only with {', '.join(formats)}")
+    if "radius" in changed and "around" not in changed:
+        raise UsageError("--radius has no effect without --around POINT")
     from bumpymap.layers import open_map
     from bumpymap.views import export_map
 
@@ -331,15 +336,6 @@ def export_command(run: Run, layers: Path, out: Path, overwrite: bool) -> None:
     run.show(
         {"out": str(out), "files": files, **done.record}, [*_export_lines(done), f"Files in {out}: {', '.join(files)}"]
     )
-
-
-def _refuse_idle(given: Mapping[str, Any], to: str) -> None:
-    """Raise UsageError for options that would have no effect."""
-    for name, formats in _ONLY_FOR.items():
-        if name in given and to not in formats:
-            raise UsageError(f"{option_name(name)} has no effect with --to {to}, only with {', '.join(formats)}")
-    if "radius" in given and "around" not in given:
-        raise UsageError("--radius has no effect without --around POINT")
 
 
 def _placed(settings: ExportSettings, points: Mapping[str, str], route_map: "MapReader") -> ExportSettings:

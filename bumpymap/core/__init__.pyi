@@ -15,6 +15,7 @@ from .config import (
     Clash as Clash,
     Compat as Compat,
     CsfSettings as CsfSettings,
+    DiffConfig as DiffConfig,
     DirectionSettings as DirectionSettings,
     ExportFormat as ExportFormat,
     ExportSettings as ExportSettings,

@@ -1,6 +1,6 @@
 """Compiled loops of bumpymap, in the build that suits this processor: see `bumpytiles._loops`.
 
-A loop of ``patches/standing.cpp`` is explained in ``patches/standing.py``, which calls it.
+A loop of ``patches/standing.cpp`` is explained in ``patches/features.py``, which calls it.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Settings of a map, a check, an export, and of the polar grid and the robot of scans: declared once, checked."""
+"""Settings of a map, a comparison, a check, an export, the polar grid and robot of scans: declared once, checked."""
 
 import math
 import os
@@ -429,6 +429,32 @@ class DirectionSettings:
     def steepest(self) -> float:
         """Tangent of ``side_limit``; infinite if there is none."""
         return math.inf if self.side_limit is None else math.tan(math.radians(self.side_limit))
+
+
+@dataclass(frozen=True, slots=True)
+class DiffConfig:
+    """All settings of a ``diff`` run."""
+
+    before: Path
+    """Layers of the earlier survey."""
+    after: Path
+    """Layers of the later one."""
+    out: Annotated[Path | None, Setting("Folder for the files: raster, places, page", "DIR", group="Output")] = None
+    """Folder for the files; None: only the summary."""
+    fdr: Annotated[
+        float, Setting("Share of changed tiles found by mistake", "SHARE", 0.0, 1.0, exclusive=True, rare=True)
+    ] = 0.05
+    min_tiles: Annotated[int, Setting("Fewest connected tiles of a change", "N", 1, rare=True)] = 2
+    """Fewest connected tiles of a change; smaller ones are left out."""
+    offset: Annotated[
+        float | None, Setting("Height to take off AFTER", "M", unit="m", default="as measured", rare=True)
+    ] = None
+    """Height that is taken off the later survey, m; None: the median difference, as measured, and a tilt before it."""
+    register: Annotated[bool, Setting("Find a shift and a tilt of AFTER and take them off", rare=True)] = True
+    overwrite: Annotated[bool, Setting("Replace the files of an earlier run", group="Output")] = False
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 LEAST_WINDOW_M = 5.0

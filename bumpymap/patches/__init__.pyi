@@ -6,16 +6,14 @@ from .cloth import (
 )
 from .features import (
     choose_tiles as choose_tiles,
-    find_objects as find_objects,
-    join_stacks as join_stacks,
-    measure as measure,
-    measure_thin as measure_thin,
-    settle_solids as settle_solids,
-)
-from .standing import (
     decks_as_ground as decks_as_ground,
     find_in_relief as find_in_relief,
+    find_objects as find_objects,
+    join_stacks as join_stacks,
     leave_out_standing as leave_out_standing,
+    measure as measure,
+    measure_thin as measure_thin,
     relief_margin as relief_margin,
+    settle_solids as settle_solids,
     take_off_standing as take_off_standing,
 )

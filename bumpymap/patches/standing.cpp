@@ -1,4 +1,4 @@
-// Narrow objects with steep sides in heightmaps (`find_standing` in standing.py), and tiles without them.
+// Narrow objects with steep sides in heightmaps (`find_standing` in features.py), and tiles without them.
 //
 // The surface beneath objects is a morphological opening of the heights. What rises above it is that of an object where
 // enough of it lies near steep sides, once the slope of the ground is taken off. Ours.

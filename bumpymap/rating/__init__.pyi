@@ -22,17 +22,15 @@ from .ride.correction import (
     ride_features as ride_features,
     subtract_noise as subtract_noise,
 )
-from .ride.motion_operator import (
+from .ride.operator import (
     MotionOperator as MotionOperator,
+    RideOperator as RideOperator,
     Rides as Rides,
+    chassis_response as chassis_response,
     felt_response as felt_response,
     heave_filter as heave_filter,
     move_over as move_over,
     roll_over as roll_over,
-)
-from .ride.operator import (
-    RideOperator as RideOperator,
-    chassis_response as chassis_response,
     wheel_turn as wheel_turn,
 )
 from .ride.rate import (

@@ -74,7 +74,7 @@ from bumpymap.core import (
 )
 from bumpymap.rating.calibration import Calibration, remembered
 from bumpymap.rating.ride.correction import class_chance
-from bumpymap.rating.ride.motion_operator import roll_over
+from bumpymap.rating.ride.operator import roll_over
 from bumpymap.rating.ride.rate import RideModel, interval, take_noise_off
 from bumpymap.rating.ride.speed import plain_speed_factor, speed_log_sd
 from bumpymap.rating.ride.thin import THIN_COLUMNS

@@ -363,7 +363,7 @@ class _LineWindow(NamedTuple):
     heights: Floats
     """(rows * pixels, cols * pixels) m; larger holes are NaN."""
     touched: NDArray[np.bool_]
-    """(rows, cols) tiles that wheels touch, and that the middle of the vehicle is in."""
+    """(rows, cols) tiles that wheels touch, that the middle of the vehicle is in, and those around them."""
     bands: Floats
     """(4, tiles) of these: ``c_r`` with its interval, slope."""
     tile: NDArray[np.int64]
@@ -427,7 +427,7 @@ def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle)
     grid = site.grid
     # A wheel reaches as far as its radius, and the heights between pixels one farther.
     beside = (vehicle.calibration.vehicle["wheel"]["radius_m"] + grid.pixel_size) / grid.tile_size
-    window = window_around(site, wheels.reshape(-1, 2), 2 + int(beside))
+    window = window_around(site, wheels.reshape(-1, 2), 3 + int(beside))
     objects = site.objects(window)
     measured = site.heights(window).astype(np.float64)
     measured[(objects == OBSTACLE) | (objects == CANOPY)] = np.nan
@@ -441,6 +441,7 @@ def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle)
     reached = [(where + off).astype(np.int64).T for off in (-beside, beside)]
     for rows, cols in product(*zip(*reached, strict=True)):
         touched[rows, cols] = True
+    touched = np.asarray(maximum_filter(touched, 3))  # what is taken off a tile hangs on the noise beside it
     found = site.values(window, _BANDS)
     bands = np.array([found[name][touched] for name in _BANDS])
     number = np.cumsum(touched).reshape(touched.shape) - 1
@@ -456,7 +457,7 @@ def _read(site: MapReader, middle: Floats, wheels: Floats, vehicle: LineVehicle)
 
 
 def _relief(boxes: Sequence[Floats], windows: Sequence[_LineWindow]) -> NDArray[np.float32]:
-    """Return the relief of the tiles of all windows that wheels touch, (n, pixels, pixels) m."""
+    """Return the relief of the touched tiles of all windows, (n, pixels, pixels) m."""
     touched = [box[window.touched] for box, window in zip(boxes, windows, strict=True)]
     return remove_plane(np.concatenate(touched)).astype(np.float32)
 

@@ -30,7 +30,7 @@ from small_surveys import alike_surveys, band, layers_of, write_las
 from bumpymap.core import SEEN, CsfSettings, FeatureSettings, UsageError, install_command
 from bumpymap.core.types import CANOPY, FREE, OBSTACLE, UNDECIDED, UNSEEN, Barred, VehicleBody
 from bumpymap.patches import close_filter, cloth, find_objects, mark_ground, measure, require_filter, settle_solids
-from bumpymap.patches.standing import find_in_relief, find_standing, leave_out_standing, take_off_standing
+from bumpymap.patches.features import find_in_relief, find_standing, leave_out_standing, take_off_standing
 from bumpymap.survey import Budget
 from bumpytiles import Grid
 

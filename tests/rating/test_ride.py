@@ -18,8 +18,16 @@ from bumpymap.patches.features import measure
 from bumpymap.rating import BlockRating, MotionModel, TextureModel, at_speed, classify, felt_response, find_strengths
 from bumpymap.rating.calibration import Calibration, shipped_calibrations
 from bumpymap.rating.ride.correction import Correction, Prediction, subtract_noise
-from bumpymap.rating.ride.motion_operator import MotionOperator, Rides, move_over, roll_over, weighting_wk
-from bumpymap.rating.ride.operator import RideOperator, chassis_response, interpolation
+from bumpymap.rating.ride.operator import (
+    MotionOperator,
+    RideOperator,
+    Rides,
+    chassis_response,
+    interpolation,
+    move_over,
+    roll_over,
+    weighting_wk,
+)
 from bumpymap.rating.ride.rate import DRIVE_LOG_SD, RideModel, denoise, interval
 from bumpymap.rating.ride.speed import map_rule, motion_factors, motion_felt, plain_factors, plain_speed_factor
 from bumpymap.rating.ride.thin import THIN_COLUMNS, THIN_RING, WAVE_SUMS, ThinModel, is_rateable, rate_thin, wave_sums

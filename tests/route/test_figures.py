@@ -422,7 +422,7 @@ def test_wheels_beside_the_border_of_a_tile_do_not_feel_the_noise_of_the_next(tm
     assert near == pytest.approx(far, rel=0.25)
 
 
-def test_lines_over_noisy_ground_have_the_mean_ride_of_its_tiles(tmp_path):
+def test_lines_over_noisy_ground_have_the_mean_ride_of_its_tiles_whatever_is_read_with_them(tmp_path):
     rng = np.random.default_rng(1)
     east, north, phase = rng.uniform(-1.0, 1.0, (60, 3, 1)).transpose(1, 0, 2)
     size = 0.003 / (4.0 * np.hypot(east, north) + 0.3)
@@ -438,6 +438,9 @@ def test_lines_over_noisy_ground_have_the_mean_ride_of_its_tiles(tmp_path):
     tiles = bumpymap.open(layers).tiles()
     inner = tiles[tiles["count"] > 800]  # those at the edge of the survey are cut
     assert np.mean(rides) == pytest.approx(inner["c_r"].mean(), rel=0.07)
+    alone = bumpymap.ride_along(layers, across(22.0, 16.4), sigma=0.0).c_r
+    with_another = bumpymap.ride_along(layers, [*across(22.0, 16.4), *across(22.0, 20.0)[::-1]], sigma=0.0).c_r
+    np.testing.assert_allclose(alone[:18], with_another[:18], rtol=1e-6)
 
 
 def test_the_ride_of_a_metre_does_not_hang_on_how_much_of_the_map_is_read_with_it(tmp_path):

@@ -716,14 +716,14 @@ def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(parts, distributed,
 def test_workers_that_are_lost_end_the_run_with_a_word_and_nothing_is_read_twice(
     parts, whole, tmp_path, here, monkeypatch, when
 ):
-    out, whole = tmp_path / "layers", here.run
+    out, own_run = tmp_path / "layers", here.run
     arguments = ("map", parts, "--out", out, "--set", "scheduler=here", "--set", f"scratch={tmp_path / 'scratch'}")
 
     def lost(*_, **__):
         raise ClusterError("all 2 workers were lost")
 
     def lost_after_three(function, tasks):
-        for number, result in whole(function, tasks):
+        for number, result in own_run(function, tasks):
             yield number, result
             if len(here.done) >= 3:
                 lost()

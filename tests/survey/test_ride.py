@@ -183,7 +183,7 @@ def test_classes_of_one_survey_together(tmp_path, density):
         assert not table["passable"][(np.abs(np.abs(y - 24.0) - 4.5) < 1.5) & (np.abs(x - 30.0) < 6.0)].any()
         on_ramp = table[road & (x > 49.0) & (x < 59.0)]
         assert len(on_ramp) >= 4
-        assert (on_ramp["class"] == 0).all() if given else (on_ramp["reason_text"] == "no ground points").all()
+        assert (on_ramp["class"] == 0).all() if more else (on_ramp["reason_text"] == "no ground points").all()
     told = run("info", tmp_path / "road.laz", "--set", "ground_classes=2,26").output
     assert "; ground" in told.split("class 26", 1)[1].splitlines()[0]
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import NORMAL_80, BadInputError, Floats, loops, plain_json
-from bumpymap.rating.ride.motion_operator import Rides
+from bumpymap.rating.ride.operator import Rides
 
 TAIL = 0.1
 """Probability below c_r_low and above c_r_high."""

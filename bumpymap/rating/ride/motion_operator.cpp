@@ -2,7 +2,7 @@
 //
 // Sixteen patches ride side by side: their heights lie together (*lanes*), so a processor computes several of them at
 // once, and only where nothing depends on their order. The sums over one patch keep their order, and so their bits: the
-// same patch rides alike wherever it is among others. Ours; see operator.py and motion_operator.py for the model.
+// same patch rides alike wherever it is among others. Ours; see operator.py for the model.
 #include <algorithm>
 #include <cmath>
 #include <vector>

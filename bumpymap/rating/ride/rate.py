@@ -37,8 +37,7 @@ from bumpymap.core import (
 )
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride.correction import Correction, Prediction, class_chance
-from bumpymap.rating.ride.motion_operator import MotionOperator, Rides, move_over, roll_over
-from bumpymap.rating.ride.operator import RideOperator, cosines
+from bumpymap.rating.ride.operator import MotionOperator, RideOperator, Rides, cosines, move_over, roll_over
 from bumpymap.rating.ride.speed import LEVEL, motion_factors, plain_speed_factor, speed_log_sd
 from bumpymap.rating.vehicle_profile import with_floor
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError, CostRule, Floats, UsageError
 from bumpymap.rating.calibration import MAP_SPEED, Calibration, find_calibration, remembered, shipped_calibrations
 from bumpymap.rating.ride.correction import Coefficients
-from bumpymap.rating.ride.motion_operator import Motions
+from bumpymap.rating.ride.operator import Motions
 from bumpymap.rating.vehicle_profile import Vehicle, less_floor, with_floor
 
 QUANTITIES = ("c_r", "a_w")

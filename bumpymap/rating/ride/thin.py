@@ -38,8 +38,7 @@ from bumpymap.core import (
 )
 from bumpymap.rating.calibration import Calibration, remembered
 from bumpymap.rating.ride.correction import Coefficients, Prediction
-from bumpymap.rating.ride.motion_operator import roll_over
-from bumpymap.rating.ride.operator import RideOperator
+from bumpymap.rating.ride.operator import RideOperator, roll_over
 from bumpymap.rating.ride.rate import DRIVE_LOG_SD, interval, judge
 from bumpymap.rating.ride.speed import plain_speed_factor, speed_log_sd
 from bumpymap.rating.vehicle_profile import less_floor

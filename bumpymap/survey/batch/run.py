@@ -369,13 +369,16 @@ def _failed(task: MapTask, message: str, seconds: float) -> SurveyRow:
     return SurveyRow(task.name, "failed", message, seconds=round(seconds, 3), survey=task.survey)
 
 
+_MODULE = "bumpymap.survey.batch.run"
+
+
 def map_tasks(tasks: Sequence[MapTask], jobs: int) -> Generator[TaskEnd, None, None]:
     """Map surveys, up to ``jobs`` at a time; yield the result of each as soon as it is known.
 
     ``tasks``: they are begun in this order. Raises UsageError: no process can be started.
     """
     # A run that is under way is ended as by a kill; the next start continues it.
-    calls = call_in_children("to map surveys", __name__, "map_one", [(task,) for task in tasks], jobs)
+    calls = call_in_children("to map surveys", _MODULE, "map_one", [(task,) for task in tasks], jobs)
     with closing(calls) as ends:
         for number, seconds, end in ends:
             if isinstance(end, Exception):
