@@ -18,9 +18,8 @@ from scipy import ndimage, stats
 from survey_pairs import COLS, ROWS, RUT, survey
 
 import bumpymap
-from bumpymap.change import find_changes
 from bumpymap.change.compare import SURE, GroundChange, compare_heights, decide, hold_false_discoveries, ride_change
-from bumpymap.change.pipeline import CHANGE_FILES, connect
+from bumpymap.change.pipeline import CHANGE_FILES, connect, find_changes
 from bumpymap.core import BadInputError, DiffConfig, Georeference, interval_log_sd
 from bumpytiles import Grid
 

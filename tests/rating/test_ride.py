@@ -15,23 +15,15 @@ from bumpymap.lab.simulate.model import relief_and_slope
 from bumpymap.lab.simulate.ride_fit import strengths_of, survey_columns, survey_terrains
 from bumpymap.lab.terrains import Terrain, make_terrain
 from bumpymap.patches.features import measure
-from bumpymap.rating import BlockRating, MotionModel, TextureModel, at_speed, classify, felt_response, find_strengths
+from bumpymap.rating import THIN_COLUMNS, RideOperator, Rides, at_speed, find_strengths, map_rule, move_over, roll_over
 from bumpymap.rating.calibration import Calibration, shipped_calibrations
 from bumpymap.rating.ride.correction import Correction, Prediction, subtract_noise
-from bumpymap.rating.ride.operator import (
-    MotionOperator,
-    RideOperator,
-    Rides,
-    chassis_response,
-    interpolation,
-    move_over,
-    roll_over,
-    weighting_wk,
-)
+from bumpymap.rating.ride.operator import MotionOperator, chassis_response, felt_response, interpolation, weighting_wk
 from bumpymap.rating.ride.rate import DRIVE_LOG_SD, RideModel, denoise, interval
-from bumpymap.rating.ride.speed import map_rule, motion_factors, motion_felt, plain_factors, plain_speed_factor
-from bumpymap.rating.ride.thin import THIN_COLUMNS, THIN_RING, WAVE_SUMS, ThinModel, is_rateable, rate_thin, wave_sums
+from bumpymap.rating.ride.speed import MotionModel, motion_factors, motion_felt, plain_factors, plain_speed_factor
+from bumpymap.rating.ride.thin import THIN_RING, WAVE_SUMS, BlockRating, ThinModel, is_rateable, rate_thin, wave_sums
 from bumpymap.rating.steps import StepEffect, apply_steps
+from bumpymap.rating.textures import TextureModel, classify
 from bumpymap.rating.vehicle_profile import Vehicle, less_floor
 
 WARTHOG, CALIBRATION = Vehicle.load("warthog"), Calibration.shipped("warthog")
