@@ -108,7 +108,7 @@ def batches_here():
 
 def measure_points(x, y, z, flag=None, *, grid=None, settings=None, ground_only=False):
     """PatchStack of loose points."""
-    from patch_stacks import joined_in_order
+    from cost_maps import joined_in_order
 
     buckets = TileBuckets(grid or Grid())
     x, y, z = (np.asarray(column, float) for column in (x, y, z))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ply_files import write_ply
+from point_files import write_ply
 
 import bumpymap
 from bumpymap.change.pipeline import DiffSettings

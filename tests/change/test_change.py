@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import rasterio
 import shapely
+from cost_maps import COLS, ROWS, RUT, survey
 from hypothesis import assume, given, settings, strategies as st
 from las_files import las_bytes
 from route_maps import RUN, VEHICLE, copy_folder, write_folder
 from scipy import ndimage, stats
-from survey_pairs import COLS, ROWS, RUT, survey
 
 import bumpymap
 from bumpymap.change.compare import SURE, GroundChange, compare_heights, decide, hold_false_discoveries, ride_change

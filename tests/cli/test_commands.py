@@ -16,14 +16,13 @@ import numpy as np
 import pyarrow.parquet as pq
 import pyogrio
 import pytest
-from cost_maps import make_field
-from made_frames import write_bin
-from ply_files import read_vertices, write_ply
+from cost_maps import make_field, survey
+from made_drives import write_bin
+from point_files import read_vertices, write_ply
 from pyproj import Transformer
 from rich.console import Console
 from route_maps import ROWS, SOUTH, WEST, lonlat, place, site, write_folder
 from small_surveys import run, write_las, write_survey
-from survey_pairs import survey
 
 from bumpymap.cli import _output, exit_code_of
 from bumpymap.cli._output import print_error, print_json, print_line, print_table

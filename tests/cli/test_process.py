@@ -16,7 +16,7 @@ from shutil import copytree
 import numpy as np
 import pytest
 from cost_maps import make_field
-from made_frames import churned_field, write_bin
+from made_drives import churned_field, write_bin
 from packaging.requirements import Requirement
 from route_maps import write_folder
 from small_surveys import run, write_survey

@@ -1,4 +1,4 @@
-"""A made-up map: every class, every reason, gaps without rows, heights with holes; and the regions of small maps."""
+"""Made-up maps: every class and reason, gaps, holes; regions of small ones; a site surveyed twice; stacks of tiles."""
 
 from dataclasses import dataclass, fields, replace
 
@@ -8,7 +8,8 @@ from pyproj import CRS
 from bumpymap.core import CANOPY, FREE, OBSTACLE, SIDES, UNSEEN, CostTable, ObjectStack
 from bumpymap.core.types import NO_CLASS, CostMap, CostRule, Georeference, PatchStack, Reason
 from bumpymap.layers.vector import GeoJsonCoordinates, dissolve, flatgeobuf_writer, geojson_writer
-from bumpytiles import Grid, TileTable
+from bumpymap.patches import join_stacks
+from bumpytiles import Grid, TileBuckets, TileTable
 
 UTM = CRS.from_epsg(32614)
 SPEEDS = ((0.15, 1.5), (0.4, 0.5))
@@ -146,3 +147,65 @@ def write_geojson(regions, path, *, local, about=None):
 def write_flatgeobuf(regions, path):
     with flatgeobuf_writer(path, regions.placement) as add:
         add(regions)
+
+
+ROWS, COLS = 30, 40
+WEST, SOUTH = 160_000, 712_000
+PIXELS = 15
+RUT = [(14, col) for col in range(40)]
+"""Rows (from the north) and columns of the tiles with a rut."""
+
+
+def survey(
+    seed, *, noise=0.03, rise=0.0, rut=0.0, lowered=0.0, seen=1.0, c_r=None, tiles=None, shift=(0.0, 0.0),
+    tilt=(0.0, 0.0), relief=1.0, **options,
+):  # fmt: skip
+    """One survey.
+
+    ``rut`` is the depth, m, of a groove of three pixels along ``RUT``, ``lowered`` that of these tiles as a whole,
+    ``seen`` a share of the pixels, ``c_r`` a factor on the ride cost of these tiles; ``shift`` is how
+    far east and north all lies, m, ``tilt`` the rise eastwards and northwards, ``relief`` a factor on the hills.
+    """
+    rng = np.random.default_rng(seed)
+    row, col = np.mgrid[0:ROWS, 0:COLS]
+    kept = np.ones((ROWS, COLS), bool) if tiles is None else tiles
+    row, col = row[kept], col[kept]
+    n = len(row)
+    grid = options.pop("grid", None) or Grid(3.0, PIXELS)
+    pixel = (np.arange(grid.pixels) + 0.5) / grid.pixels
+    north = (SOUTH + ROWS - row)[:, None, None] - pixel[None, :, None]
+    east = (WEST + col)[:, None, None] + pixel[None, None, :]
+    lies_east, lies_north = east - shift[0] / 3.0, north - shift[1] / 3.0  # in tiles
+    heights = 200.0 + relief * (np.sin(lies_east / 3.0) + 0.5 * np.cos(lies_north / 2.0)) + rise
+    heights += 3.0 * (tilt[0] * (east - WEST) + tilt[1] * (north - SOUTH))
+    heights += noise * rng.standard_t(4, heights.shape)
+    in_rut = np.isin(row * COLS + col, [r * COLS + c for r, c in RUT])
+    heights[in_rut, 6:9] -= rut
+    heights[in_rut] -= lowered
+    heights[rng.random(heights.shape) >= seen] = np.nan
+    made = make_map(
+        WEST + col, SOUTH + ROWS - 1 - row, np.zeros(n), np.zeros(n), grid=grid, seed=1, easy=True, **options
+    )
+    ride = np.full(n, 0.1) * np.exp(rng.normal(0.0, 0.05, n))
+    if c_r is not None:
+        ride = ride * np.where(in_rut, c_r, 1.0)
+    ride = ride.astype(np.float32)
+    patches = replace(
+        made.patches, heights=heights.astype(np.float32), density=np.full(n, 100.0 * seen), coverage=np.full(n, seen)
+    )
+    bands = {"c_r": ride, "c_r_low": ride * np.float32(0.88), "c_r_high": ride * np.float32(1.13)}
+    return replace(made, patches=patches, probability=None, p_fail=np.full(n, 0.01, np.float32), **bands)
+
+
+def joined_in_order(stacks):
+    """Put stacks together, north to south, then west to east."""
+    whole = join_stacks(list(stacks))
+    order = np.lexsort((whole.col, -whole.row))
+    return replace(whole, **{f.name: getattr(whole, f.name)[order] for f in fields(whole) if f.name != "grid"})
+
+
+def block_of(x, y, z, flag=None):
+    """The last block of points on tiles of 3 m."""
+    buckets = TileBuckets(Grid())
+    buckets.add(*(np.asarray(axis, float) for axis in (x, y, z)), np.zeros(len(x), bool) if flag is None else flag)
+    return list(buckets.blocks())[-1]

@@ -1,27 +1,35 @@
-"""Calibrations: what is made of drives, as a whole with few and short ones, and fitted again."""
+"""Drives, over which starts and in which processes, and the calibrations that are made of them and fitted again."""
 
 import errno
 import json
 import math
+import os
+import signal
+import subprocess
+import sys
+import threading
 from dataclasses import replace
 from itertools import combinations
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from hypothesis.extra.numpy import arrays
 
 from bumpymap.core import BumpymapError, OutputError, SilentProgress, UsageError
-from bumpymap.lab.settings import CalibrationSettings, DriveSettings
+from bumpymap.lab.settings import CalibrationSettings, DriveSettings, Physics
 from bumpymap.lab.simulate import calibrate, refit as refit_module
-from bumpymap.lab.simulate.drive import PatchDrives, calibrated_settings
-from bumpymap.lab.simulate.jobs import DriveJob
+from bumpymap.lab.simulate.drive import PatchDrives, calibrated_settings, follow
+from bumpymap.lab.simulate.jobs import DriveJob, drive_jobs
+from bumpymap.lab.simulate.model import PatchGround, Pose, Strip, strip_triangles
 from bumpymap.lab.simulate.motion_fit import SPEED_RATIOS, fit_means, motion_jobs
 from bumpymap.lab.simulate.refit import run_crossing
 from bumpymap.lab.terrains import KINDS
 from bumpymap.rating import Calibration, Correction, Vehicle, shipped_calibrations
 
-WARTHOG = Calibration.shipped("warthog")
+CALIBRATED = Calibration.shipped("warthog")
 SHORT = DriveSettings(settle_s=0.2, ramp_s=0.3, cruise_s=0.0, measure_s=0.6)
 SETTINGS = CalibrationSettings(
     Vehicle.load("warthog"), 4, patches=2, starts=1, z_range=(0.05, 0.4), terrains=1, terrain_starts=2, drive=SHORT
@@ -128,7 +136,7 @@ def test_real_calibration_rises_with_z_range_and_reads_back(calibration):
 def test_classes_mean_the_same_for_tiles_of_another_size(monkeypatch):
     monkeypatch.setattr(refit_module, "_TERRAINS", 4)
     own = Calibration.shipped("warthog", tile_size=5.0)
-    ride, like = Correction.from_record(own.ride), replace(WARTHOG, class_limits=(0.05, 0.09, 0.13))
+    ride, like = Correction.from_record(own.ride), replace(CALIBRATED, class_limits=(0.05, 0.09, 0.13))
     found, said = refit_module.fit_classes(calibrated_settings(own), ride, [ride, ride], like)
     assert found["class_limits"] == like.class_limits
     assert like.id in said["class_rule"]
@@ -256,11 +264,11 @@ def test_shipped_calibration_is_what_this_code_makes(name):
 
 @pytest.mark.later
 def test_shipped_class_limits_follow_from_the_shipped_ride_model():
-    ride = Correction.from_record(WARTHOG.ride)
-    found, said = refit_module.fit_classes(calibrated_settings(WARTHOG), ride, [ride], None)
-    assert found["class_limits"] == pytest.approx(WARTHOG.class_limits, rel=0.006)  # of three digits
-    assert found["class_c_r"] == pytest.approx(WARTHOG.class_c_r, rel=1e-3)
-    assert said["class_rule"] == WARTHOG.settings["class_rule"]
+    ride = Correction.from_record(CALIBRATED.ride)
+    found, said = refit_module.fit_classes(calibrated_settings(CALIBRATED), ride, [ride], None)
+    assert found["class_limits"] == pytest.approx(CALIBRATED.class_limits, rel=0.006)  # of three digits
+    assert found["class_c_r"] == pytest.approx(CALIBRATED.class_c_r, rel=1e-3)
+    assert said["class_rule"] == CALIBRATED.settings["class_rule"]
 
 
 @pytest.mark.parametrize("name", shipped_calibrations())
@@ -277,7 +285,7 @@ def test_shipped_classes_are_sure_and_the_same_for_tiles_of_every_size_and_cells
 
 @pytest.mark.parametrize(("spread", "tolerance"), [(0.0, 1e-3), (0.1, 0.1)])
 def test_it_finds_what_was_put_in_and_its_spread_and_leaves_failed_terrains_out(spread, tolerance):
-    settings = replace(calibrated_settings(WARTHOG), terrains=8, terrain_starts=4)
+    settings = replace(calibrated_settings(CALIBRATED), terrains=8, terrain_starts=4)
     # Logarithms are plain functions of C_r and speed, with errors of that spread.
     c_r = np.geomspace(0.01, 0.4, len(motion_jobs(settings)))[:, None]
     s = np.log(SPEED_RATIOS)[None, :]
@@ -318,12 +326,12 @@ def test_limits_of_tiles_of_another_size_stay_when_it_is_fitted_again(monkeypatc
 
 
 def test_a_calibration_that_was_moved_to_real_drives_or_lacks_the_library_is_refused():
-    settings = WARTHOG.settings | {"moved_to_drives": {"calibration_id": WARTHOG.id}}
-    with pytest.raises(UsageError, match=f"moved to real drives.*Fit the calibration {WARTHOG.id}.*check --refit"):
-        refit_module.refit(replace(WARTHOG, settings=settings))
-    settings = {key: value for key, value in WARTHOG.settings.items() if key != "library"}
+    settings = CALIBRATED.settings | {"moved_to_drives": {"calibration_id": CALIBRATED.id}}
+    with pytest.raises(UsageError, match=f"moved to real drives.*Fit the calibration {CALIBRATED.id}.*check --refit"):
+        refit_module.refit(replace(CALIBRATED, settings=settings))
+    settings = {key: value for key, value in CALIBRATED.settings.items() if key != "library"}
     with pytest.raises(UsageError, match="holds no drives over the terrain library"):
-        refit_module.refit(replace(WARTHOG, settings=settings))
+        refit_module.refit(replace(CALIBRATED, settings=settings))
 
 
 @pytest.mark.later
@@ -333,6 +341,184 @@ def test_a_low_kerb_is_crossed_and_a_high_wall_is_not_and_a_crossing_is_that_of_
     for up in (1, 0):
         assert run_crossing(settings, DriveJob(("crossing", "0.1", 0, up), 1)).outcome == ("completed",)
     assert run_crossing(settings, DriveJob(("crossing", "0.7", 1, 1), 1)).outcome == ("stuck",)
-    record = WARTHOG.steps["crossing"]
+    record = CALIBRATED.steps["crossing"]
     failed = run_crossing(settings, DriveJob(("crossing", "0.4", 0, 1), 1)).failed
     assert failed == record["fail_up"][record["height"].index(0.4)][0]
+
+
+SIZE = 3.0
+HEIGHTS = np.random.default_rng(5).normal(0, 0.2, (15, 15)) + 7.0
+WARTHOG = Vehicle.load("warthog")
+
+
+def pixel_centres(pixels=15):
+    axis = (np.arange(pixels) + 0.5) * SIZE / pixels
+    return np.meshgrid(axis, axis[::-1])  # north row first
+
+
+@pytest.fixture
+def ground():
+    return PatchGround.from_heights(HEIGHTS, SIZE)
+
+
+def test_pixel_centres_keep_their_heights_north_up(ground):
+    np.testing.assert_allclose(ground.height(*pixel_centres()), HEIGHTS, atol=1e-12)
+
+
+@given(st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6)), arrays(np.float64, (2, 20), elements=st.floats(-40, 40)))
+def test_a_sloping_patch_goes_on_as_its_plane_and_not_as_a_ridge(slope, points):
+    easting, northing = pixel_centres()
+    ground = PatchGround.from_heights(slope[0] * easting + slope[1] * northing + 2, SIZE)
+    expected = slope[0] * points[0] + slope[1] * points[1] + 2
+    np.testing.assert_allclose(ground.height(*points), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("heading", [0.0, 2.0])
+def test_strip_is_covered_once_and_without_holes(ground, heading):
+    triangles = strip_triangles(ground, Strip(2.0, 4.0, heading, 6.0, 1.0)).astype(float)
+    a, b, c = triangles.transpose(1, 0, 2)
+    area = np.cross(b - a, c - a)[:, 2] / 2  # above 0: every triangle faces up
+    cells = np.floor(triangles.mean(axis=1)[:, :2] / ground.spacing + 1e-6).astype(int)
+    unique, times = np.unique(cells, axis=0, return_counts=True)
+    assert set(times) == {2}
+    np.testing.assert_allclose(area, ground.spacing**2 / 2, rtol=1e-3)
+    forward, left = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
+    along, across = np.meshgrid(np.linspace(-0.99, 6.99, 40), np.linspace(-0.99, 0.99, 20))
+    inside = np.array([2.0, 4.0]) + along[..., None] * forward + across[..., None] * left
+    wanted = np.floor(inside.reshape(-1, 2) / ground.spacing).astype(int)
+    assert set(map(tuple, wanted)) <= set(map(tuple, unique))
+
+
+STRIP = Strip(3.0, 4.0, 0.5, 10.0, 3.0)
+MADE_UP = DriveSettings(settle_s=0.1, ramp_s=0.2, cruise_s=0.1, measure_s=2.0)
+
+
+class KinematicVehicle:
+    """Goes where its wheels push it, and pitches and tilts as it is told by functions of the time."""
+
+    def __init__(self, pitch_rate=lambda _t: 0.0, tilt=lambda _t: 0.0, grip=lambda _t: 1.0, drift=0.0, beside=0.0):
+        self.pitch_rate, self.tilt, self.grip, self.drift = pitch_rate, tilt, grip, drift
+        self.time, self.heading = 0.0, STRIP.heading
+        self.easting = STRIP.easting - beside * math.sin(STRIP.heading)
+        self.northing = STRIP.northing + beside * math.cos(STRIP.heading)
+        self.commands = []
+
+    def command(self, left_mps, right_mps):
+        self.commands.append((left_mps, right_mps))
+
+    def advance(self, steps):
+        seconds = steps * MADE_UP.physics.time_step
+        self.time += seconds
+        left, right = self.commands[-1]
+        self.heading += (right - left) / WARTHOG.track_m * seconds
+        speed = (left + right) / 2 * self.grip(self.time)
+        self.easting += (speed * math.cos(self.heading) - self.drift * math.sin(STRIP.heading)) * seconds
+        self.northing += (speed * math.sin(self.heading) + self.drift * math.cos(STRIP.heading)) * seconds
+
+    def pose(self):
+        return Pose(self.easting, self.northing, self.heading, self.tilt(self.time), self.pitch_rate(self.time))
+
+
+def run(**motion):
+    vehicle = KinematicVehicle(**motion)
+    return vehicle, follow(vehicle, STRIP, WARTHOG, MADE_UP)
+
+
+def test_c_r_is_the_pitch_per_metre():
+    _, drive = run(pitch_rate=lambda _t: -0.25)
+    assert drive.outcome == "completed"
+    assert drive.c_r == pytest.approx(0.25, rel=1e-9)
+    assert drive.path_m == pytest.approx(2.0, rel=1e-9)
+    assert run(pitch_rate=lambda t: 9.0 if t < 0.399 else 0.0)[1].c_r == 0.0  # before the measurement
+    _, aslant = run(pitch_rate=lambda _t: -0.25, beside=0.5)  # of the metres of its path, not of its line
+    assert aslant.path_m == pytest.approx(2.0, rel=1e-6)
+    assert aslant.c_r == pytest.approx(0.25, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("motion", "outcome"),
+    [
+        ({"grip": lambda _t: 0.19, "pitch_rate": lambda _t: 1.0}, "stuck"),  # less than a fifth of its way
+        ({"grip": lambda _t: 0.21}, "completed"),
+        ({"drift": 1.2}, "stuck"),  # off its line
+        ({"tilt": lambda t: math.radians(61) if t > 1.5 else 0.0}, "rolled"),
+        ({"tilt": lambda t: math.radians(61) if t < 0.05 else 0.0}, "rolled"),
+        ({"tilt": lambda _t: math.radians(59)}, "completed"),
+    ],
+)
+def test_a_vehicle_that_gets_nowhere_is_stuck_and_one_past_sixty_degrees_has_rolled_over(motion, outcome):
+    _, drive = run(**motion)
+    assert drive.outcome == outcome
+    assert math.isnan(drive.c_r) == (outcome != "completed")
+
+
+def test_time_step_must_divide_the_time_between_samples():
+    with pytest.raises(UsageError, match=r"0\.003 s does not divide"):
+        DriveSettings(physics=Physics(time_step=0.003))
+    assert DriveSettings(physics=Physics(time_step=0.0005)).steps_per_sample == 20
+
+
+JOBS = """
+import os, time
+from dataclasses import dataclass
+
+@dataclass(frozen=True)
+class Job:
+    key: int
+    starts: int = 1
+
+def twice(job): return 2 * job.key
+def die(job): os._exit(1)
+def never(job):
+    os.write(1, f"{os.getpid()}\\n".encode())  # in one piece: two workers write into one pipe
+    time.sleep(3600)
+"""
+
+
+@pytest.fixture
+def jobs(tmp_path, monkeypatch):
+    """A module that workers can import."""
+    (tmp_path / "pool_jobs.py").write_text(JOBS)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "pool_jobs", raising=False)
+    return __import__("pool_jobs")
+
+
+def test_results_come_in_order_and_the_process_has_no_thread_for_it(jobs):
+    before, seen = threading.active_count(), []
+
+    class Told(SilentProgress):
+        def start(self, stage, total):
+            seen.append((stage, total))
+
+        def advance(self, steps):
+            seen.append((steps, threading.active_count()))
+
+    made = drive_jobs(jobs.twice, [jobs.Job(key) for key in range(7)], Told(), workers=3)
+    assert list(made.items()) == [(key, 2 * key) for key in range(7)]
+    assert seen == [("driving", 7), (0, before), *7 * [(1, before)]]
+
+
+@pytest.mark.slow
+def test_a_dead_worker_is_reported_with_what_to_do(jobs):
+    with pytest.raises(BumpymapError, match="run the same command again"):
+        drive_jobs(jobs.die, [jobs.Job(0), jobs.Job(1)], workers=2)
+
+
+@pytest.mark.later
+def test_workers_end_with_a_main_process_that_was_killed(jobs):
+    code = (
+        "from bumpymap.lab.simulate.jobs import drive_jobs\n"
+        "import pool_jobs\n"
+        "drive_jobs(pool_jobs.never, [pool_jobs.Job(0), pool_jobs.Job(1)], workers=2)\n"
+    )
+    paths = os.pathsep.join([str(Path(jobs.__file__).parent), *filter(None, sys.path)])
+    pipe, environment = subprocess.PIPE, os.environ | {"PYTHONPATH": paths}
+    main = subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=pipe, stderr=pipe, text=True)
+    workers = {int(main.stdout.readline()) for _ in range(2)}
+    assert main.pid not in workers
+    for worker in workers:
+        os.kill(worker, signal.SIGTERM)  # of the whole group: it is for the main process
+    main.kill()
+    # The workers hold the pipes too: their ends are reached only when all are gone.
+    assert main.communicate(timeout=30) == ("", "")

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_frames import churned_field, write_bin
+from made_drives import churned_field, write_bin
 from small_surveys import run
 
 from bumpymap.core import BadInputError, Scan, UsageError

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_frames import churned_field, write_bin
+from made_drives import churned_field, write_bin
 
 import bumpymap
 

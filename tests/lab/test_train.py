@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_frames import POINTS, ring_of_ground, write_rellis
+from made_drives import POINTS, ring_of_ground, write_rellis
 from numpy.testing import assert_allclose, assert_array_equal
 from small_surveys import run
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import laspy
 import numpy as np
 import pytest
+from cost_maps import block_of, joined_in_order
 from hypothesis import given, settings, strategies as st
-from patch_stacks import block_of, joined_in_order
 from scipy.stats import binned_statistic_2d
 from sklearn.linear_model import RANSACRegressor
 

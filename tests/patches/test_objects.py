@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import small_surveys
-from patch_stacks import block_of
+from cost_maps import block_of
 from scenes import (
     BUILDING,
     FAR,

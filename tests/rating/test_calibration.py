@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from driven_stretches import driven_stretches
+from check_records import driven_stretches
 
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.rating import Correction, RideModel, Rides, map_calibration, shipped_profiles, update_from_drives

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import PIXELS, TILE_SIZE, Wall, crossed, mosaic
 from scipy import ndimage
 from scipy.ndimage import distance_transform_edt
 from scipy.stats import binned_statistic_2d
-from walls import PIXELS, TILE_SIZE, Wall, crossed, mosaic
 
 from bumpymap.core import CANOPY, FREE, OBSTACLE, UNDECIDED, UNSEEN, BadInputError, Barred, VehicleBody, loops
 from bumpymap.rating import THIN_COLUMNS, Calibration, crossing_fails, find_steps

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from las_files import wkt
+from point_files import KINDS, batches_of, read_points, table_of, write_kind
 from pyproj import CRS
-from survey_kinds import KINDS, batches_of, read_points, table_of, write_kind
 
 from bumpymap.core import BadInputError, UsageError, horizontal_of, loops
 from bumpymap.readers import LineSums, ReadOptions, cell_indices, hash_survey, open_survey, point_stats, reopen_survey

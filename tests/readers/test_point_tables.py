@@ -7,10 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rasterio
-from ply_files import write_ply
-from raster_files import NORTH, WEST, ground, middles, write_raster
+from point_files import NORTH, TABLES, WEST, ground, middles, read_points, write_ply, write_raster, write_table
 from rasterio.transform import Affine
-from survey_kinds import TABLES, read_points, write_table
 
 from bumpymap.core import BadInputError
 from bumpymap.readers import ReadOptions, find_surveys, open_survey, project_photo

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from survey_kinds import read_points
+from point_files import read_points
 
 from bumpymap.core import BadInputError, common_georeference, horizontal_of
 from bumpymap.readers import find_surveys, open_survey

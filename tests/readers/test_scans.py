@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from bags import LIDAR, as_rclpy, cloud, lidar_rows, odometry, transforms, write_bag
 from hypothesis import given, settings, strategies as st
+from point_files import TABLES, write_table
 from scipy.spatial.transform import Rotation, Slerp
-from survey_kinds import TABLES, write_table
 
 from bumpymap.core import LONGEST_GAP_S, NEAREST_S, BadInputError, Robot, Scan, UsageError, install_command
 from bumpymap.core.scan_types import Dropped, PoseTrack

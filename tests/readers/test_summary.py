@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from survey_kinds import KINDS, write_kind
+from point_files import KINDS, write_kind
 
 import bumpymap.readers.las as las_module
 from bumpymap.core import THIN_SEEN, BadInputError, FeatureSettings, Reason

@@ -12,9 +12,8 @@ import pytest
 import shapely
 from check_records import stretches_at
 from route_maps import place, site, write_folder
-from route_oracles import by_heading, gap_to_closed, reach_by_graph, smooth_field, with_slope
 from small_surveys import run, write_survey
-from tile_maps import TileMap
+from tile_maps import TileMap, by_heading, gap_to_closed, reach_by_graph, smooth_field, with_slope
 
 import bumpymap
 from bumpymap.check.stretches import read_line

@@ -13,10 +13,9 @@ import shapely
 from pyproj import CRS, Proj, Transformer
 from rings import HALF_M, Ring, crossed_by_tools
 from route_maps import COLS, ROWS, SOUTH, WEST, bare_map, place, site, write_folder
-from route_oracles import cheapest_on_pixels, reach_by_graph, smooth_field
 from scipy.ndimage import gaussian_filter
 from small_surveys import files_in
-from tile_maps import CORNERS, WARTHOG, MadeUpMap, TileMap, make_route
+from tile_maps import CORNERS, WARTHOG, MadeUpMap, TileMap, cheapest_on_pixels, make_route, reach_by_graph, smooth_field
 
 import bumpymap
 from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference, OutputError, RouteVehicle, UsageError

@@ -1,8 +1,10 @@
-"""Classes of sectors: the network, the stripes of the filter method, the ride of a vehicle, and the loop of a robot."""
+"""Classes of sectors by network, stripes and ride; frames of a drive: merges, poses that cannot be right, motion."""
 
 import copy
 import json
 import math
+import re
+import sys
 import tracemalloc
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -12,21 +14,24 @@ import laspy
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from made_frames import write_bin
+from made_drives import write_bin
 from numpy.testing import assert_array_equal
-from ply_files import read_vertices
+from point_files import read_vertices, write_ply
 from scan_scenes.things import make_field
 from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
 
 import bumpymap
 from bumpymap import ScanClassifier
-from bumpymap.core import NO_CLASS, NOT_TRAVERSABLE, GridSettings, Scan, cell_numbers, sector_bounds
-from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.core import NO_CLASS, BadInputError, GridSettings, Robot, Scan, UsageError
+from bumpymap.core.scan_types import NOT_TRAVERSABLE, cell_numbers, sector_bounds
+from bumpymap.layers import open_accumulated
 from bumpymap.rating import find_calibration
 from bumpymap.scan import ScanConfig, classify_filter, load_stripes, polar_sectors, scan_frames
 from bumpymap.scan.cells import lay_grid
 from bumpymap.scan.classifier import SectorRater
 from bumpymap.scan.learned import ScanModel, classify_learned, infer, neighbours, network_input, probabilities
+from bumpymap.scan.merge import MOST_GROUND, MOST_OTHERS, DriveMerge, place_points
 from bumpymap.scan.stripes import StripeFilter, count_stripes
 
 
@@ -357,3 +362,387 @@ def test_a_classifier_goes_to_another_process_with_its_settings():
 def test_settings_that_contradict_the_vehicle():
     with pytest.raises(UsageError, match="leave out belly_m, or the vehicle"):
         bumpymap.ScanClassifier(vehicle="warthog", polar={"belly_m": 0.1})
+
+
+CAMERA = np.array([[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+PARKED, TRUCK = (12.07, 8.57, 0.0, 4.0, 1.8, 1.5), (22.0, -1.5, 0.6, 6.0, 2.4, 3.0)
+"""Boxes: middle x and y, lower edge, length, width, upper edge, m."""
+WALLS = [(x, y, 0.0, 3.0, 0.5, 2.5) for x, y in ((2.0, 11.0), (9.0, -8.0), (17.0, 12.0), (26.0, -9.0), (35.0, 10.0))]
+FRAMES = 12
+
+
+def seen(pose, boxes, columns=720):
+    """Points (n, 3) of a sensor of 48 lines on level ground among boxes, in its frame, and which are ground."""
+    up, around = np.radians(np.linspace(-28.0, 12.0, 48))[:, None], np.linspace(-np.pi, np.pi, columns, endpoint=False)
+    rays = np.stack(np.broadcast_arrays(np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)), axis=-1)
+    rays = rays.reshape(-1, 3)
+    way, eye = rays @ pose[:3, :3].T, pose[:3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        away = np.where(way[:, 2] < 0.0, -eye[2] / way[:, 2], np.inf)
+        ground = np.isfinite(away)
+        for x, y, low, long, wide, high in boxes:
+            near = (np.array([x - long / 2, y - wide / 2, low]) - eye) / way
+            far = (np.array([x + long / 2, y + wide / 2, high]) - eye) / way
+            enter, leave = np.minimum(near, far).max(axis=1), np.maximum(near, far).min(axis=1)
+            hit = (enter > 0.0) & (enter < leave) & (enter < away)
+            away, ground = np.where(hit, enter, away), ground & ~hit
+    kept = away < 60.0
+    return (rays * away[:, None])[kept].astype(np.float32), ground[kept]
+
+
+def way_along(count=FRAMES, step=3.0):
+    """Poses along a bend."""
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    turn = 0.3 * np.sin(np.arange(count) / 4.0 + 0.5)
+    poses[:, 0, 0] = poses[:, 1, 1] = np.cos(turn)
+    poses[:, 1, 0] = np.sin(turn)
+    poses[:, 0, 1] = -np.sin(turn)
+    poses[:, :2, 3] = np.cumsum(step * np.stack([np.cos(turn), np.sin(turn)], axis=1), axis=0) - [3.0, 0.0]
+    poses[:, 2, 3] = 1.5
+    return poses
+
+
+def car(number):
+    """The box of a car that comes towards the sensor."""
+    return (38.0 - 4.0 * number, 2.0 - 0.1 * number, 0.2, 4.0, 1.8, 1.5)
+
+
+@pytest.fixture(name="frames", scope="module")
+def frames_fixture():
+    """Frames of a drive past standing objects and a moving one."""
+    return [seen(pose, [PARKED, TRUCK, *WALLS, car(number)]) for number, pose in enumerate(way_along())]
+
+
+def merged(folder, frames, poses, is_ground=None, **how):
+    """Merge frames; return the points, which are ground, and the record."""
+    return merge(folder, frames, poses, is_ground, **how)[:3]
+
+
+def merge(folder, frames, poses, is_ground=None, **how):
+    """And the poses, corrected or not."""
+    folder.mkdir()
+    offset = np.round(poses[0, :3, 3])
+    drive = DriveMerge(folder, offset, Robot(), **how)
+    for number, ((points, ground), pose) in enumerate(zip(frames, poses, strict=True)):
+        own = ground if is_ground is None else is_ground(number, points)
+        drive.add_points(str(number), pose, place_points(str(number), points, own, pose, offset))
+    with open_accumulated(folder / "a.laz", offset, None) as add_points:
+        drive.write(add_points)
+    las = laspy.read(folder / "a.laz")
+    return np.asarray(las.xyz), np.asarray(las.classification) == 2, drive.record(), drive.poses
+
+
+def in_box(xyz, box, margin=0.05):
+    x, y, low, long, wide, high = box
+    inside = np.abs(xyz - [x, y, 0.5 * (low + high)]) <= np.array([long, wide, high - low]) / 2 + margin
+    return inside.all(axis=1)
+
+
+@pytest.fixture(name="drive", scope="module")
+def drive_fixture(frames, tmp_path_factory):
+    return merged(tmp_path_factory.mktemp("merge") / "out", frames, way_along())
+
+
+def test_what_moved_is_gone_and_what_stands_has_stayed(frames, drive):
+    xyz, ground, record = drive
+    poses = way_along()
+    world = [points @ pose[:3, :3].T + pose[:3, 3] for (points, _), pose in zip(frames, poses, strict=True)]
+    moving = sum(int(in_box(points, car(number)).sum()) for number, points in enumerate(world))
+    assert moving > 1000
+    of_cars = np.any([in_box(xyz, car(number)) for number in range(FRAMES)], axis=0) & (xyz[:, 2] > 0.3)
+    elsewhere = np.any([in_box(xyz, box, 0.3) for box in (PARKED, TRUCK, *WALLS)], axis=0)
+    assert (of_cars & ~elsewhere & ~ground).sum() < 0.02 * moving
+    for box in (PARKED, *WALLS):
+        voxels = {
+            tuple(v) for points in world for v in np.floor(points[in_box(points, box)] / 0.2).astype(int).tolist()
+        }
+        left = {tuple(v) for v in np.floor(xyz[in_box(xyz, box)] / 0.2).astype(int).tolist()}
+        assert len(voxels & left) > 0.97 * len(voxels) > 50
+    assert record["seen"] == sum(len(points) for points in world)
+    assert (record["points"], record["ground"]) == (len(xyz), ground.sum())
+    assert (record["moving"] > 0, record["poses"]["misfits"]) == (True, [])
+    # Density is even.
+    whole = np.round(1000.0 * xyz).astype(np.int64)
+    pixels = np.unique(whole[ground, :2] // 200, axis=0, return_counts=True)[1]
+    assert pixels.max() == MOST_GROUND
+    assert np.unique(whole[~ground] // 200, axis=0, return_counts=True)[1].max() <= MOST_OTHERS
+    assert np.abs(xyz[ground, 2]).max() < 0.01
+
+
+def test_ground_below_a_truck_is_not_ground_to_drive_on(frames, drive):
+    xyz, ground, _ = drive
+    x, y, _, long, wide, _ = TRUCK
+    below = (x, y, -0.1, long - 0.9, wide - 0.9, 0.0)
+    world = [points @ pose[:3, :3].T + pose[:3, 3] for (points, _), pose in zip(frames, way_along(), strict=True)]
+    assert in_box(np.concatenate(world), below).sum() > 100
+    assert not (in_box(xyz, below) & ground).any()
+
+
+def test_where_blocks_begin_makes_no_difference(frames, drive, tmp_path):
+    poses, by = way_along(), (-100_005.0, 3_999_987.0, 4.0)
+    poses[:, :3, 3] += by
+    xyz, ground, record = merged(tmp_path / "out", frames, poses)
+    rows = [np.column_stack([np.round(1000.0 * p).astype(np.int64), g]) for p, g in ((xyz - by, ground), drive[:2])]
+    first, second = (each[np.lexsort(each.T)] for each in rows)
+    assert len(first) == len(second)
+    assert (np.abs(first - second).max(axis=1) > 0).mean() < 1e-3  # a half millimetre may round to either side
+    assert record["moving"] == pytest.approx(drive[2]["moving"], abs=5)
+
+
+def test_what_most_frames_do_not_take_for_ground_is_no_ground(frames, tmp_path):
+    def roofs(number, points):
+        high = way_along()[number, 2, 3] + points[:, 2] > 0.3
+        return frames[number][1] | (high & (number in {2, 7}))
+
+    xyz, ground, _ = merged(tmp_path / "out", frames, way_along(), roofs)
+    high = xyz[:, 2] > 0.3
+    assert (high & ground).sum() < 0.1 * high.sum()
+
+
+def relative(poses, apart=4):
+    """Poses of frames in the one so many before."""
+    return np.linalg.inv(poses[:-apart]) @ poses[apart:]
+
+
+def noisy(poses, metres, degrees, seed=3):
+    """Poses with errors of all six kinds."""
+    rng, poses = np.random.default_rng(seed), poses.copy()
+    poses[:, :3, 3] += rng.normal(0.0, metres, (len(poses), 3))
+    turns = Rotation.from_rotvec(np.radians(rng.normal(0.0, degrees, (len(poses), 3)))).as_matrix()
+    poses[:, :3, :3] = turns @ poses[:, :3, :3]
+    return poses
+
+
+def test_errors_of_poses_are_said_and_corrected_if_asked(tmp_path, caplog):
+    true, given = way_along(), noisy(way_along(), 0.05, 0.3)
+    boxes = [(x, y, 0.0, 2.0, 2.0, 2.5) for x, y in ((0.0, 9.0), (6.0, -6.0), (13.0, 9.0), (19.0, -4.0), (30.0, -3.0))]
+    frames = [seen(pose, [PARKED, *WALLS, *boxes, car(number)]) for number, pose in enumerate(true)]
+    kept, *_, same = given.copy(), *merge(tmp_path / "given", frames, given)
+    np.testing.assert_array_equal(same, kept)
+    assert "the height of the same ground differs" in caplog.text
+    xyz, ground, record, found = merge(tmp_path / "out", frames, given, corrected=True)
+    np.testing.assert_array_equal(given, kept)
+    off = np.linalg.inv(relative(true)) @ relative(found)
+    assert (np.median(np.linalg.norm(off[:, :3, 3], axis=1)) < 0.01) & (np.abs(off[:, 2, 3]).max() < 0.002)
+    assert np.degrees(Rotation.from_matrix(off[:, :3, :3]).magnitude()).max() < 0.05
+    corrected = record["poses"]["correction"]
+    assert corrected["significant"] == corrected["edges"] > FRAMES
+    np.testing.assert_array_equal([corrected["poses"][str(number)] for number in range(FRAMES)], found)
+    assert corrected["surfaces_after_m"] < 0.1 * corrected["surfaces_before_m"]
+    assert 0.05 < corrected["largest_move_m"] < 0.2
+    near = ground & (np.abs(xyz[:, 0] - 15.0) < 10.0) & (np.abs(xyz[:, 1] - 2.0) < 3.0)
+    plane = np.column_stack([xyz[near, :2], np.ones(near.sum())])
+    rest = xyz[near, 2] - plane @ np.linalg.lstsq(plane, xyz[near, 2], rcond=None)[0]
+    assert rest.std() < 0.01
+
+
+def escorted(step, count, beside, boxes, columns=360):
+    """Perfect poses on a bend, and frames with a car that keeps its place beside the sensor."""
+    poses, rng = way_along(count, step), np.random.default_rng(2)
+    frames = []
+    for pose in poses:
+        x, y = pose[:2, 3] + pose[:2, :2] @ beside
+        points, ground = seen(pose, [*boxes, (x, y, 0.2, 4.0, 1.8, 1.5)], columns)
+        frames.append((points + rng.normal(0.0, 0.01, points.shape).astype(np.float32), ground))
+    return poses, frames
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("step", [0.5, 1.0])
+def test_perfect_poses_stay_beside_an_escort(step, tmp_path):
+    poses, frames = escorted(step, 12, (1.5, 3.2), [PARKED, *WALLS[:2]])
+    for corrected, most in ((False, 0.0), (True, 0.02)):
+        *_, record, found = merge(tmp_path / str(corrected), frames, poses, corrected=corrected)
+        assert np.abs(found - poses).max() <= most
+        assert (record["poses"]["misfits"], record["poses"]["left_out"]) == ([], [])
+
+
+@pytest.mark.slow
+def test_the_robot_drove_where_others_followed_it(tmp_path):
+    """A car that follows, and stops when the robot stops, is never seen through where it stands at the end."""
+    poses, frames = escorted(0.5, 40, (-5.5, 0.0), WALLS, 360)
+    frames, poses = [*frames, *20 * frames[-1:]], np.concatenate([poses, np.tile(poses[-1:], (20, 1, 1))])
+    xyz, ground, record = merged(tmp_path / "out", frames, poses)
+    away = np.linalg.norm(xyz[:, None, :2] - poses[None, 8:, :2, 3], axis=2).min(axis=1)
+    assert record["moving"] > 1000
+    assert not ((away < 1.0) & ~ground & (xyz[:, 2] > 0.25)).any()
+
+
+def test_one_wrong_frame_is_named_and_left_out(frames, drive, tmp_path, caplog):
+    poses = way_along()
+    poses[7, :3, :3] = poses[7, :3, :3] @ Rotation.from_euler("x", 5.0, degrees=True).as_matrix()
+    xyz, ground, record = merged(tmp_path / "out", frames, poses)
+    assert record["poses"]["left_out"] == ["7"]
+    assert "1 of 12 frames are left out" in caplog.text
+    assert "7 against" in caplog.text
+    assert np.abs(xyz[ground, 2]).max() < 0.01
+    assert len(xyz) > 0.9 * len(drive[0])
+    trusted = merged(tmp_path / "trusted", frames, poses, trusted=True)[2]["poses"]
+    assert (trusted["left_out"], trusted["misfits"] != []) == ([], True)
+
+
+def test_a_mounting_that_poses_lack_is_said_even_on_a_straight_way(tmp_path, caplog):
+    level = np.tile(np.eye(4), (8, 1, 1))
+    level[:, 0, 3], level[:, 2, 3] = 3.0 * np.arange(8), 1.5
+    mount = np.eye(4)
+    mount[:3, :3] = Rotation.from_euler("x", 5.0, degrees=True).as_matrix()
+    frames = [seen(pose @ mount, [PARKED, *WALLS]) for pose in level]
+    assert merged(tmp_path / "right", frames, level @ mount)[2]["poses"]["lean_deg"] is None
+    assert not caplog.text
+    lean = merged(tmp_path / "out", frames, level)[2]["poses"]["lean_deg"]
+    assert lean == [pytest.approx(5.0, abs=0.3), pytest.approx(0.0, abs=0.3)]
+    assert re.search(r"leaned by 5 degrees.*a roll of 4.9 and a pitch of .*Multiply each pose", caplog.text)
+
+
+def test_frames_between_bare_walls_are_moved_across_and_not_along(tmp_path):
+    true = np.tile(np.eye(4), (8, 1, 1))
+    true[:, 0, 3], true[:, 2, 3] = 2.0 * np.arange(8), 1.5
+    frames, rng = [], np.random.default_rng(1)
+    for pose in true:
+        points, ground = seen(pose, [(7.0, y, 0.0, 90.0, 0.4, 3.0) for y in (4.0, -4.0)])
+        frames.append((points + rng.normal(0.0, 0.005, points.shape).astype(np.float32), ground))
+    given, by = true.copy(), rng.normal(0.0, 0.2, (8, 2))
+    given[:, :2, 3] += by
+    moved = merge(tmp_path / "out", frames, given, trusted=True, corrected=True)[3][:, :2, 3] - given[:, :2, 3]
+    assert np.abs(moved[:, 0]).max() < 0.02
+    assert np.ptp(moved[:, 1] + by[:, 1]) < 0.03 < np.ptp(by[:, 1])
+
+
+def off(by=(0.0, 0.0, 0.0), axis="z", degrees=0.0):
+    """Poses that are moved in the world, then turned about an axis of the sensor; by the same or each."""
+    poses = way_along()
+    poses[:, :3, 3] += by
+    poses[:, :3, :3] = poses[:, :3, :3] @ Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
+    return poses
+
+
+WAY, FLIP, LATER = way_along(), np.diag([1.0, -1.0, 1.0, 1.0]), np.arange(FRAMES)[:, None] >= 6
+PLACE, YAW, NOISE = WAY[:, :3, 3], np.arctan2(WAY[:, 1, 0], WAY[:, 0, 0]), np.random.default_rng(5)
+FAULTS = {
+    "jump aside": (True, "6 against .: objects stand 1.5 m beside", off(LATER * [0.0, 1.5, 0.0])),
+    "jump up": (False, "6 against .: the same ground is 0.50 m higher", off(LATER * [0.0, 0.0, 0.5])),
+    "too long": (False, "as if all ways were 1.(09|10) times as long", off(PLACE * [0.1, 0.1, 0.0])),
+    "too short": (False, "as if all ways were 0.(89|90) times as long", off(PLACE * [-0.1, -0.1, 0.0])),
+    "leaning": (True, "as if the LiDAR leaned by 4 degrees", off(axis="y", degrees=4.0)),
+    "rolled": (True, "as if the LiDAR leaned by 5 degrees", off(axis="x", degrees=5.0)),
+    "turning": (True, "objects stand turned by 2 degrees", off(degrees=np.arange(FRAMES)[:, None])),
+    "degrees": (True, "see through", off(degrees=np.degrees(np.degrees(YAW) - YAW)[:, None])),
+    "a frame late": (False, "left out .*0 against", WAY[[0, *range(FRAMES - 1)]]),
+    "mirrored": (True, "do not fit", FLIP @ WAY @ FLIP),
+    "noisy": (False, "1. of 12 frames do not fit", off(NOISE.normal(0.0, 0.3, (FRAMES, 3)))),
+    "x for y": (True, "do not fit", off(PLACE[:, [1, 0, 2]] - PLACE)),
+    "exchanged": (
+        False,
+        "2 of 12 frames are left out .*5 against .*6 against",
+        WAY[[0, 1, 2, 3, 4, 6, 5, 7, 8, 9, 10, 11]],
+    ),
+    "repeated": (False, "1 of 12 frames are left out .*6 against 5: it holds the same points", WAY),
+    "inverted": (True, "see through", np.linalg.inv(WAY)),
+    "of a camera": (True, "same ground differs", CAMERA @ WAY @ np.linalg.inv(CAMERA)),
+    "far apart": (True, "so far apart", way_along(step=300.0)),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_wrong_poses_are_named_with_what_contradicts_them(frames, tmp_path, caplog, fault):
+    refused, words, poses = FAULTS[fault]
+    own = [frames[5 if fault == "repeated" and number == 6 else number] for number in range(FRAMES)]
+    if refused:
+        with pytest.raises(BadInputError, match=f"according to the poses, .*{words}.*`trust_poses=True`"):
+            merged(tmp_path / "out", own, poses)
+    else:
+        assert merged(tmp_path / "out", own, poses)[2]["poses"]["misfits"]
+        assert re.search(words, caplog.text)
+
+
+START = 1_700_000_000.0
+SPEED_MPS, TURN_RADPS = 9.0, 1.0
+POSTS = np.random.default_rng(1).uniform(-20.0, 20.0, (40, 2))
+
+
+def motion(times):
+    """Rotations and places of a LiDAR 1.5 m above the ground, on a circle."""
+    angle = TURN_RADPS * (np.asarray(times) - START)
+    radius = SPEED_MPS / TURN_RADPS
+    places = np.column_stack([radius * np.sin(angle), radius * (1.0 - np.cos(angle)), np.full(len(angle), 1.5)])
+    return Rotation.from_euler("z", angle[:, None]), places
+
+
+def sweep(time, seed):
+    """World points of posts and flat ground that one turn of 0.1 s sees, and the time of each after ``time``."""
+    rng = np.random.default_rng(seed)
+    ground = np.column_stack([rng.uniform(-25.0, 25.0, (6_000, 2)), np.zeros(6_000)])
+    posts = np.column_stack([np.repeat(POSTS, 100, axis=0), np.tile(np.linspace(0.1, 2.0, 100), len(POSTS))])
+    world = np.concatenate([ground, posts])
+    _, place = motion([time])
+    azimuth = np.arctan2(*(world - place)[:, 1::-1].T)
+    offset = (azimuth + np.pi) * 0.1 / (2 * np.pi)
+    order = np.argsort(offset)
+    return world[order], offset[order]
+
+
+@pytest.fixture(name="driven", scope="module")
+def driven_fixture(tmp_path_factory):
+    """Five frames with the time of each point in nanoseconds, and poses at 50 Hz."""
+    folder = tmp_path_factory.mktemp("drive")
+    (folder / "frames").mkdir()
+    for number in range(5):
+        time = START + 0.1 * number
+        world, offset = sweep(time, number)
+        turns, places = motion(time + offset)
+        rows = np.zeros(len(world), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u4")])
+        for axis, values in zip("xyz", turns.inv().apply(world - places).T, strict=True):
+            rows[axis] = values
+        rows["t"] = np.rint(offset * 1e9)
+        write_ply(folder / "frames" / f"{time:.3f}.ply", rows)
+    times = START + np.arange(-5, 40) / 50.0
+    turns, places = motion(times)
+    np.savetxt(folder / "tum.txt", np.column_stack([times, places, turns.as_quat()]), fmt="%.9f")
+    return folder
+
+
+def settings(driven, out, **more):
+    how = {"poses": driven / "tum.txt", "method": "filter", "products": ("table",)}
+    return ScanConfig((driven / "frames",), out, **how | more)
+
+
+def off_posts(out):
+    """Distance of the points above the ground to the nearest post, m."""
+    points = laspy.read(out / "gathered.laz").xyz
+    high = points[points[:, 2] > 0.3, :2]
+    return np.linalg.norm(high[:, None] - POSTS[None], axis=2).min(axis=1)
+
+
+def test_a_drive_is_deskewed_by_the_poses_between_its_frames(driven, tmp_path):
+    config = settings(driven, tmp_path / "out")
+    scan_frames(config)
+    assert off_posts(config.out).max() < 0.01
+    raw = settings(driven, tmp_path / "raw", deskew=False)
+    scan_frames(raw)
+    assert off_posts(raw.out).max() > 0.5
+    assert not json.loads((raw.out / "scan.json").read_text(encoding="utf-8"))["poses"]["deskew"]
+
+
+def test_wrong_poses_leave_nothing_in_the_way_of_right_ones(driven, tmp_path):
+    """The frames of a refused run are of no use: with the same poses it would be refused again."""
+    table = np.loadtxt(driven / "tum.txt")
+    right = table[:, 3].copy()
+    table[:, 3] += 7.0 * (table[:, 0] - START)
+    np.savetxt(tmp_path / "tum.txt", table, fmt="%.9f")
+    config = settings(driven, tmp_path / "out", poses=tmp_path / "tum.txt", deskew=False)
+    with pytest.raises(BadInputError, match="height of the same ground differs") as refused:
+        scan_frames(config)
+    assert not hasattr(refused.value, "__notes__")
+    assert not config.out.exists()
+    trusted = scan_frames(replace(config, out=tmp_path / "trusted", trust_poses=True))
+    assert trusted.merged["poses"]["misfits"]
+    table[:, 3] = right
+    np.savetxt(tmp_path / "tum.txt", table, fmt="%.9f")
+    assert not scan_frames(config).already_done
+
+
+def test_a_correction_without_its_package_ends_before_the_work(driven, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "small_gicp", None)
+    with pytest.raises(UsageError, match=r"pip install .*poses"):
+        scan_frames(settings(driven, tmp_path / "out", correct_poses=True))
+    assert not (tmp_path / "out").exists()

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import rasterio
-from made_frames import write_bin
+from made_drives import write_bin
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from small_surveys import SIDES

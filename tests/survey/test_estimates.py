@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from blake3 import blake3
-from ply_files import write_ply
+from point_files import write_ply
 from small_surveys import alike_surveys, layers_of, run, write_las
 
 import bumpymap

@@ -15,10 +15,10 @@ import pyogrio
 import pytest
 import rasterio
 from click.testing import CliRunner
-from made_frames import churned_field, write_bin
+from made_drives import churned_field, write_bin
 from made_quarry import tiles_of
+from point_files import NORTH, WEST, ground, middles, write_raster
 from pyproj import CRS, Transformer
-from raster_files import NORTH, WEST, ground, middles, write_raster
 from rasterio.transform import Affine
 from small_surveys import band, files_in, killed_at, layers_of, run, write_las, write_survey
 

@@ -9,12 +9,11 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings, strategies as st
 from rings import GROUND_KINDS, Ring, write_points
-from scenes import GROUND, OTHER, Place, Scene, ScenePoints, Solid, seen_pixels, survey_scene
+from scenes import GROUND, OTHER, PIXELS, TILE_SIZE, Place, Scene, ScenePoints, Solid, Wall, seen_pixels, survey_scene
 from scipy import ndimage
 from scipy.ndimage import distance_transform_edt
 from scipy.stats import binned_statistic_2d
 from small_surveys import band, run, write_las
-from walls import PIXELS, TILE_SIZE, Wall
 
 import bumpymap
 from bumpymap.core import MapConfig, SeenSizes, SilentProgress, density_for, smallest_object, smallest_step

@@ -14,13 +14,12 @@ import numpy as np
 import pytest
 import shapely
 from check_records import made_up_check, on_site
-from cost_maps import make_field, table_of
+from cost_maps import make_field, survey, table_of
 from page_outline import ReadPage
 from pyproj import CRS
 from route_maps import RUN, copy_folder, plant_photo, write_folder
 from skimage.color import deltaE_ciede2000, rgb2lab
 from small_surveys import run, write_survey
-from survey_pairs import survey
 from tile_maps import UTM, MadeUpMap, make_route
 
 import bumpymap

@@ -15,14 +15,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from check_records import made_up_check, on_site
-from cost_maps import make_field
+from cost_maps import COLS, ROWS, make_field, survey
 from page_outline import Outline, ReadPage, require_no_requests
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from pyproj import Transformer
 from route_maps import VEHICLE, change_bars, copy_folder, list_anew, plant_photo, write_folder
 from small_surveys import band, run, write_bomb, write_broken
-from survey_pairs import COLS, ROWS, survey
 
 import bumpymap
 from bumpymap.check.pipeline import write_check

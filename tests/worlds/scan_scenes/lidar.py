@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from bumpymap.core import Scan
 from bumpymap.lab.terrains import log_uniform
-from scan_scenes.ground import ground_mesh
 from scan_scenes.scene import Scene, make_scene
-from scan_scenes.things import REFLECTIONS, Floats, Label
+from scan_scenes.things import REFLECTIONS, Floats, Label, ground_mesh
 
 _LOOP_TURN = 0.2199
 """Turns of a rosette for one oscillation between its margins."""

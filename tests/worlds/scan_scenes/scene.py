@@ -6,8 +6,7 @@ import numpy as np
 
 from bumpymap.lab.terrains import log_uniform
 from scan_scenes import things as make
-from scan_scenes.ground import Bank, Blob, Region, Road, SceneGround, make_blob, make_road
-from scan_scenes.things import Floats, Height, Label, Triangles, make_field
+from scan_scenes.things import Blob, Floats, Height, Label, Region, SceneGround, Triangles, make_field
 
 _END_M = 85.0
 """Things stand along the road up to this distance."""
@@ -66,7 +65,7 @@ ROADSIDES = {
 """By theme of the scene."""
 
 
-def make_street(rng: np.random.Generator, side: Roadside) -> Road:
+def make_street(rng: np.random.Generator, side: Roadside) -> make.Road:
     """Draw the road past the origin, which lies in a lane, or at times on the pavement; most robots look along it."""
     half = float(rng.uniform(*side.half_width_m))
     bends = (
@@ -81,7 +80,7 @@ def make_street(rng: np.random.Generator, side: Roadside) -> Road:
     kerb = float(rng.uniform(*side.kerb_m)) if kerbed or pavement else 0.0
     verge = float(rng.uniform(1.5, 4.5))
     high = rng.uniform(-1.0, 1.0, 2) * side.bank_m
-    return Road(
+    return make.Road(
         Label.ASPHALT if rng.uniform() < 0.85 else Label.CONCRETE,
         (float(np.cos(bearing)), float(np.sin(bearing))),
         float(-stand - sum(amplitude * np.sin(phase) for amplitude, _, phase in bends)),
@@ -99,7 +98,7 @@ def make_street(rng: np.random.Generator, side: Roadside) -> Road:
 
 
 def roadside_things(
-    rng: np.random.Generator, side: Roadside, road: Road, height: Height
+    rng: np.random.Generator, side: Roadside, road: make.Road, height: Height
 ) -> list[tuple[Label, Triangles]]:
     """Draw what stands on a road and along it, as labels and triangles."""
     things = _vehicles(rng, side, road, height)
@@ -120,13 +119,15 @@ def roadside_things(
     ]
 
 
-def _feet(road: Road, along: Floats, across: float | Floats, height: Height) -> Floats:
+def _feet(road: make.Road, along: Floats, across: float | Floats, height: Height) -> Floats:
     """Return (n, 4) x, y, z of the ground [m] and the heading of the road [rad]."""
     place = road.places(along, np.broadcast_to(np.asarray(across, float), along.shape))
     return np.column_stack([place[:, :2], height(place[:, 0], place[:, 1]), place[:, 2]])
 
 
-def _vehicles(rng: np.random.Generator, side: Roadside, road: Road, height: Height) -> list[tuple[Label, Triangles]]:
+def _vehicles(
+    rng: np.random.Generator, side: Roadside, road: make.Road, height: Height
+) -> list[tuple[Label, Triangles]]:
     """Draw parked vehicles along the margins, and moving ones in the lanes."""
     along, across = [np.empty(0)], [np.empty(0)]
     for way in (-1.0, 1.0):
@@ -144,7 +145,7 @@ def _vehicles(rng: np.random.Generator, side: Roadside, road: Road, height: Heig
 
 
 def _row(
-    rng: np.random.Generator, side: Roadside, road: Road, way: float, height: Height
+    rng: np.random.Generator, side: Roadside, road: make.Road, way: float, height: Height
 ) -> list[tuple[Label, Triangles]]:
     """Draw the trees, poles, rails, fences, hedges and walls of one side, which is to the left if ``way`` is 1."""
     edge = road.half_width_m + road.pavement_m
@@ -250,7 +251,7 @@ def make_scene(seed: int, index: int, theme: str | None = None) -> Scene:
     ground = _draw_ground(rng, THEMES[name], name)
     things = tuple(_draw_things(rng, THEMES[name], ground))
     for region in ground.regions:
-        if THEMES[name].street and isinstance(region, Road):
+        if THEMES[name].street and isinstance(region, make.Road):
             things += tuple(roadside_things(rng, ROADSIDES[name], region, ground.height))
     wet = float(rng.uniform(0.1, 0.8)) if rng.uniform() < _WET else 0.0
     mirror = log_uniform(rng, 0.01, 0.5) if rng.uniform() < _MIRRORS else 0.0
@@ -279,11 +280,11 @@ def _draw_slope(rng: np.random.Generator, theme: Theme) -> tuple[float, float]:
     return float(rise * np.cos(bearing)), float(rise * np.sin(bearing))
 
 
-def _draw_bank(rng: np.random.Generator) -> Bank:
+def _draw_bank(rng: np.random.Generator) -> make.Bank:
     """Draw a bank that rises or falls by 0.1 to 6 m, at 8 to 35 degrees where it is steepest."""
     bearing, height = rng.uniform(0, 2 * np.pi), log_uniform(rng, 0.1, 6.0)
     steepest = np.tan(np.radians(rng.uniform(8, 35)))
-    return Bank(
+    return make.Bank(
         (float(np.cos(bearing)), float(np.sin(bearing))),
         float(rng.uniform(-5, 25)),
         float(height * rng.choice([-1.0, 1.0])),
@@ -317,14 +318,14 @@ def _draw_ground(rng: np.random.Generator, theme: Theme, name: str) -> SceneGrou
         (Label.RUBBLE, theme.rubble, 30, (5, 20), (0.03, 0.1)),
     ):
         regions += [
-            make_blob(rng, label, _place(rng, 2, farthest), rng.uniform(*sizes), log_uniform(rng, *rough))
+            make.make_blob(rng, label, _place(rng, 2, farthest), rng.uniform(*sizes), log_uniform(rng, *rough))
             for _ in range(_up_to(rng, most))
         ]
     if theme.street:
         regions.append(make_street(rng, ROADSIDES[name]))
     for number in range(_up_to(rng, theme.roads)):
         label = (Label.DIRT, Label.ASPHALT, Label.CONCRETE)[rng.integers(3)]
-        regions.append(make_road(rng, label, float(rng.normal(0, 3) if number == 0 else rng.uniform(-30, 30))))
+        regions.append(make.make_road(rng, label, float(rng.normal(0, 3) if number == 0 else rng.uniform(-30, 30))))
     regions += _draw_water(rng, theme, bare)
     return replace(bare, regions=tuple(regions))
 
@@ -337,7 +338,7 @@ def _draw_water(rng: np.random.Generator, theme: Theme, bare: SceneGround) -> li
     kinds += [(Label.PUDDLE, (0.8, 3.5), (4, 20))] * _up_to(rng, theme.puddles)
     for label, sizes, places in kinds:
         radius = rng.uniform(*sizes)
-        blob = make_blob(rng, label, _place(rng, *places), radius, log_uniform(rng, 0.001, 0.012), 0.0)
+        blob = make.make_blob(rng, label, _place(rng, *places), radius, log_uniform(rng, 0.001, 0.012), 0.0)
         bearing = np.linspace(0, 2 * np.pi, 16, endpoint=False)
         bank = bare.height(blob.centre[0] + radius * np.cos(bearing), blob.centre[1] + radius * np.sin(bearing))
         if blob.reach(origin, origin)[0] < 1.5:
