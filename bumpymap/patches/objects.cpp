@@ -206,7 +206,7 @@ constexpr Weight hiding{6.0};
 // Points overhead of a pixel that count in strips, over those that a pixel has on average; two at least.
 constexpr double most_of_pixel = 2.0;
 // The same, and as a share of the points overhead: of the end of a wall in the corner of a tile, which hides the ground
-// if what it continues does. By tests/benchmarks/ring_book.py.
+// if what it continues does. By tests/benchmarks/books.py.
 constexpr Weight maybe_hiding{2.0, 0.5};
 // Plants so far above the vehicle, m, are crowns: where leaves are dense, more points reach no ground by chance.
 constexpr double leafy = 1.0;

@@ -164,7 +164,7 @@ WIDTH_M = 1.37
     ],
 )
 def test_no_way_leads_out_of_a_ring(tmp_path, kind, density, classified, seeds):
-    """Of ``tests/benchmarks/ring_book.py``, whose table holds 20 rings of each; seen from above alone, in part."""
+    """Of ``tests/benchmarks/books.py``, whose table holds 20 rings of each; seen from above alone, in part."""
     for seed in seeds:
         noise, sides = (0.0, 0.02, 0.05)[seed % 3], bool(seed // 3 % 2)
         (tmp_path / str(seed)).mkdir()
