@@ -111,7 +111,6 @@ def test_command_writes_a_model_with_its_scores(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["m.onnx"]
 
 
-pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
 
 
 CLASSES = LABEL_SETS["rellis"].class_of
