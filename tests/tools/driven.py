@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import spearmanr
 from sklearn.metrics import roc_auc_score
-from survey_tiles import MeasuredSurvey
+from tables import MeasuredSurvey
 
 from bumpymap.core import Reason
 from bumpymap.lab.evaluate import number, percent, table

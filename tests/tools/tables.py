@@ -14,15 +14,15 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from survey_tiles import MeasuredSurvey
 
 import bumpymap
-from bumpymap.core import CLASS_NAMES
+from bumpymap.core import CLASS_NAMES, BadInputError, FeatureSettings, decide_ground
 from bumpymap.lab.evaluate import number, percent, table
+from bumpymap.patches import decks_as_ground, measure
 from bumpymap.rating import Calibration, TextureModel, classify, rate_as_paper
-from bumpymap.readers import ReadOptions, find_frames, read_scan
+from bumpymap.readers import PointStats, ReadOptions, find_frames, find_surveys, open_survey, read_scan
 from bumpymap.scan import ScanModel, classify_filter, classify_learned, load_stripes, polar_sectors
-from bumpytiles import Grid
+from bumpytiles import Grid, TileBuckets
 
 PAPER_COSTS = (("heightmap method", "12.257", "0.084"), ("variance and residual from points", "41.027", "-"))
 """The paper's Table II: processor time [ms] and memory [kB] of a patch."""
@@ -46,6 +46,30 @@ NO_LABELS = (
     "the included network, which learned from simulated scenes."
 )
 NO_SCANS = "Tables IV and V are of scans: give frames with --scans."
+
+
+class MeasuredSurvey:
+    """All points of surveys, 14 to 26 bytes each, by block of a grid."""
+
+    def __init__(self, surveys, options, grid):
+        self.buckets = TileBuckets(grid)
+        for reader in (open_survey(path, options) for path in find_surveys(surveys)):
+            stats = PointStats()
+            for chunk in reader.chunks():
+                batch = reader.convert(chunk, reader.fetch(chunk))
+                stats = stats.merge(batch.stats)
+                self.buckets.add_chunk(batch.grouped(grid))
+            reader.verify(stats)
+        if not len(self.buckets):
+            raise BadInputError("no point is left: every point is withheld, noise or without return")
+        flags = np.concatenate([self.buckets.flags(key) for key in self.buckets.keys()])  # noqa: SIM118 (no mapping)
+        # For a single tile, the share of ground points replaces the count of tiles with ground points.
+        self.ground_only = decide_ground("auto", 1, float(np.mean(flags[flags.any(axis=1), 1])))
+
+    def measured(self, parts):
+        """Measure the tiles of blocks; a dense block comes in several parts."""
+        for points in parts:
+            yield measure(decks_as_ground(points), FeatureSettings(), ground_only=self.ground_only)
 
 
 def first_table(layers):
