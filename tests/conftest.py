@@ -98,6 +98,18 @@ def without_views():
 
 
 @pytest.fixture
+def limit_points(monkeypatch):
+    """Function that limits the points of a chunk, of a block, and of those that wait in memory."""
+    from bumpymap.survey import Budget
+
+    def limit(**most):
+        for name, points in most.items():
+            monkeypatch.setattr(Budget, f"{name}_points", points)
+
+    return limit
+
+
+@pytest.fixture
 def batches_here():
     """Batches of a test map their surveys in its process."""
     from small_surveys import batches_here

@@ -111,8 +111,6 @@ def test_command_writes_a_model_with_its_scores(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["m.onnx"]
 
 
-
-
 CLASSES = LABEL_SETS["rellis"].class_of
 SMALL_SCANS = ScanTrainSettings(epochs=2, sectors_per_class=48, batch=32)
 
