@@ -13,7 +13,7 @@ import rasterio
 import shapely
 from cost_maps import COLS, ROWS, RUT, survey
 from hypothesis import assume, given, settings, strategies as st
-from las_files import las_bytes
+from point_files import las_bytes
 from route_maps import RUN, VEHICLE, copy_folder, write_folder
 from scipy import ndimage, stats
 

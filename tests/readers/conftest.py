@@ -3,8 +3,8 @@
 import struct
 from pathlib import Path
 
-import las_files
 import numpy as np
+import point_files
 import pytest
 
 POINTS = np.array(
@@ -34,11 +34,11 @@ class LasMaker:
     def write(self, name="a.las", points=POINTS, *, wkt=None, epsg=None, geokeys=None, evlr_wkt=None, **how):
         """A file of the points; ``epsg`` and ``geokeys`` make GeoTIFF keys, ``wkt`` a WKT record."""
         keys = dict(geokeys or {}) | ({1024: 1, 3072: epsg} if epsg else {})
-        records = [*[las_files.geokeys(keys)] * bool(keys), *(las_files.wkt(one) for one in (wkt,) if one)]
-        extended = [las_files.wkt(one) for one in (evlr_wkt,) if one]
+        records = [*[point_files.geokeys(keys)] * bool(keys), *(point_files.wkt(one) for one in (wkt,) if one)]
+        extended = [point_files.wkt(one) for one in (evlr_wkt,) if one]
         how = {"wkt_bit": bool(wkt), "records": records, "extended": extended} | how
         path = self.folder / name
-        path.write_bytes(las_files.las_bytes(points, compress=name.endswith(".laz"), **how))
+        path.write_bytes(point_files.las_bytes(points, compress=name.endswith(".laz"), **how))
         return path
 
     @staticmethod
@@ -53,14 +53,14 @@ class LasMaker:
     def pack(path: Path, chunk=None, counts=None) -> Path:
         """LAZ of a LAS file, with chunks of ``chunk`` points, or of ``counts`` points each."""
         out = path.with_suffix(".laz")
-        out.write_bytes(las_files.packed(path.read_bytes(), chunk, counts))
+        out.write_bytes(point_files.packed(path.read_bytes(), chunk, counts))
         return out
 
     @staticmethod
     def octree(path: Path, **how) -> Path:
-        """COPC of a LAS file, see `las_files.octree`."""
+        """COPC of a LAS file, see `point_files.octree`."""
         out = path.with_suffix(".copc.laz")
-        out.write_bytes(las_files.octree(path.read_bytes(), **how))
+        out.write_bytes(point_files.octree(path.read_bytes(), **how))
         return out
 
 

@@ -12,8 +12,7 @@ import laspy
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from las_files import wkt
-from point_files import KINDS, batches_of, read_points, table_of, write_kind
+from point_files import KINDS, batches_of, read_points, table_of, wkt, write_kind
 from pyproj import CRS
 
 import bumpymap.readers.las as las_module

@@ -22,8 +22,7 @@ from rasterio.io import MemoryFile
 from rasterio.transform import Affine
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "helpers"))  # for processes of their own
-from las_files import ENTRY, geokeys, las_bytes, octree, packed, wkt
-from point_files import ply_bytes
+from point_files import ENTRY, geokeys, las_bytes, octree, packed, ply_bytes, wkt
 
 ORIGIN = (500_001.0, 4_000_001.0, 100.0)
 """South-west corner of the survey and its lowest height, m; inside UTM zone 14 north."""

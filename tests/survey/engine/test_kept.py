@@ -7,8 +7,8 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import las_files
 import numpy as np
+import point_files
 import pytest
 from small_surveys import files_in, killed_at, layers_of, run, write_las
 
@@ -191,7 +191,7 @@ def strip(tmp_path_factory):
     for number in range(BLOCKS):
         own = file == number
         points = np.column_stack([x[own], y[own], np.zeros(own.sum())])
-        data = las_files.las_bytes(points, version="1.4", fmt=7, classification=ground[own])
+        data = point_files.las_bytes(points, version="1.4", fmt=7, classification=ground[own])
         (survey / f"{number:02}.las").write_bytes(data)
     run("map", survey, "--out", folder / "whole", "--local", code=0)
     return survey, layers_of(folder / "whole")
