@@ -1,8 +1,10 @@
 // Gathers the points of frame after frame in voxels, which are found by a hash of their key (open addressing).
 //
-// A voxel keeps one point of each frame before it keeps a second of any, so that their spread holds the errors of the
-// poses; and those nearest to the sensor, the first frame's of equals. The caller sees to it that the table has room.
-// Ours; see merge.py for the arrays.
+// Of ground a voxel keeps those that come first in an order without a pattern, which their place in the voxel, in plan,
+// tells: as many of them lie in each part of a pixel, above and below the border of two voxels, as of all. Nearest
+// points would lie at the edge of the pixel, and a few from each of two voxels would pull the ground to the border
+// between them. Of others a voxel keeps one of each frame before a second of any, those nearest to the sensor, the
+// first frame's of equals. The caller sees to it that the table has room. Ours; see merge.py for the arrays.
 #include "bumpytiles/bindings.hpp"
 #include "bumpytiles/grouping.hpp"
 
@@ -40,6 +42,14 @@ Index row_of(const VoxelTable& table, Index key) {
     return row;
 }
 
+// A number without a pattern for a place in a voxel in plan, mm; by SplitMix64.
+std::uint32_t mixed(Index x, Index y) {
+    std::uint64_t bits = (static_cast<std::uint64_t>(y) << 32U) | static_cast<std::uint64_t>(x);
+    bits = (bits ^ (bits >> 30U)) * 0xBF58476D1CE4E5B9U;
+    bits = (bits ^ (bits >> 27U)) * 0x94D049BB133111EBU;
+    return static_cast<std::uint32_t>(bits >> 32U);
+}
+
 // Adds points of a frame to their voxels.
 //
 // `place` (points, 3): mm; x and y count from the corner of the block; `range_cm` (points,): distance from the sensor,
@@ -51,6 +61,7 @@ void gather_points(
     const auto most = static_cast<std::int32_t>(table.turn.shape[1]);
     for (Index i = 0; i < place.shape[0]; ++i) {
         const auto voxel = [&](Index axis) { return floor_divide(place(i, axis), voxel_mm); };
+        const auto inside = [&](Index axis) { return place(i, axis) - voxel(axis) * voxel_mm; };
         const Index key = ((voxel(2) * 4096 + voxel(1)) * 4096 + voxel(0)) * 2 + kind[i];
         const Index at = row_of(table, key);
         if (table.last[at] != frame) {
@@ -58,8 +69,9 @@ void gather_points(
             ++table.hits[at];
             table.mine[at] = 0;
         }
-        if (table.mine[at] == most) continue;
-        const auto turn = static_cast<std::uint32_t>(table.mine[at]++ * 65'536 + range_cm[i]);
+        if (kind[i] == 0 && table.mine[at] == most) continue;
+        const std::uint32_t turn = kind[i] != 0 ? mixed(inside(0), inside(1))
+                                                : static_cast<std::uint32_t>(table.mine[at]++ * 65'536 + range_cm[i]);
         const std::int32_t held = table.held[at];
         if (held == most && turn >= table.turn(at, most - 1)) continue;
         Index to = held < most ? held : most - 1;

@@ -102,7 +102,8 @@ class VoxelTable(NamedTuple):
     held: NDArray[np.int32]
     """Points kept of it."""
     turn: NDArray[np.uint32]
-    """(rows, kept) increasing: points the frame had there before, times 65,536, plus distance from the sensor, cm."""
+    """(rows, kept) increasing: of ground a number without a pattern for the place in the voxel; of others the points
+    that the frame had there before, times 65,536, plus distance from the sensor, cm."""
     place: NDArray[np.int32]
     """(rows, kept, 3) where they are, mm."""
     size: NDArray[np.int32]

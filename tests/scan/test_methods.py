@@ -489,6 +489,18 @@ def test_where_blocks_begin_makes_no_difference(frames, drive, tmp_path):
     assert record["moving"] == pytest.approx(drive[2]["moving"], abs=5)
 
 
+def test_ground_keeps_its_height_beside_the_border_of_two_voxels(frames, tmp_path):
+    rng, poses = np.random.default_rng(5), way_along()
+    poses[:, 2, 3] += 0.004
+    noisy = [
+        (points + np.outer(rng.normal(0.0, 0.01, len(points)) * is_ground, [0.0, 0.0, 1.0]), is_ground)
+        for points, is_ground in frames
+    ]
+    xyz, ground, _ = merged(tmp_path / "out", [(each.astype(np.float32), own) for each, own in noisy], poses)
+    assert xyz[ground, 2].mean() == pytest.approx(0.004, abs=0.0005)
+    assert xyz[ground, 2].std() == pytest.approx(0.01, rel=0.05)
+
+
 def test_what_most_frames_do_not_take_for_ground_is_no_ground(frames, tmp_path):
     def roofs(number, points):
         high = way_along()[number, 2, 3] + points[:, 2] > 0.3
