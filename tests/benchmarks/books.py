@@ -19,8 +19,9 @@ from itertools import product
 from multiprocessing import Pool
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).parents[1] / "helpers"))
-from scenes import GROUND_KINDS, SCENES, STANDING_KINDS, Ring, judge, seen_from_above
+sys.path += [str(Path(__file__).parents[1] / folder) for folder in ("helpers", "worlds")]
+from rings import GROUND_KINDS, STANDING_KINDS, Ring
+from scenes import SCENES, judge, seen_from_above
 
 from bumpymap.core import VehicleBody
 

@@ -25,6 +25,15 @@ from bumpymap.lab.simulate.motion_fit import MotionRecord
 from bumpymap.lab.terrains import KINDS
 from bumpymap.rating import Calibration, Correction, Vehicle
 
+pytestmark = pytest.mark.usefixtures("without_views")
+
+WARTHOG = Calibration.shipped("warthog")
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
 
 def command(name):
     found = main
@@ -146,9 +155,8 @@ def numbers():
 
 
 @pytest.mark.parametrize(("name", "setting", "given", "named", "value"), list(numbers()))
-def test_no_number_is_ignored(name, setting, given, named, value, reached, tmp_path, monkeypatch):
+def test_no_number_is_ignored(name, setting, given, named, value, reached, tmp_path):
     """0 and -1 are refused with a message that names the option, or arrive as they are meant."""
-    monkeypatch.chdir(tmp_path)
     if name.startswith("train"):
         pytest.importorskip("torch")
     result = run(*name.split(), *WORDS[name], *given)
@@ -174,10 +182,7 @@ def test_no_number_is_ignored(name, setting, given, named, value, reached, tmp_p
         ("local = false", ["--crs", "EPSG:32614"], {"local": "False", "crs": "EPSG:32614"}),
     ],
 )
-def test_what_is_typed_wins_over_what_contradicts_it_in_a_file(
-    content, words, expected, reached, tmp_path, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
+def test_what_is_typed_wins_over_what_contradicts_it_in_a_file(content, words, expected, reached, tmp_path):
     (tmp_path / "a.toml").write_text(content)
     result = run("map", "a.laz", "--out", "o", "--config", "a.toml", *words)
     assert isinstance(result.exception, Reached), result.output
@@ -199,9 +204,8 @@ def test_contradictions_of_a_file_are_refused(reached, tmp_path):
         ["--set=seed=0", "--tile-size=3.123456789", "--set=pixels=21", "--set=terrains=3", "--set=starts=1"],
     ],
 )
-def test_the_stored_command_repeats_the_run(words, reached, tmp_path, monkeypatch):
+def test_the_stored_command_repeats_the_run(words, reached, tmp_path):
     pytest.importorskip("dartpy")
-    monkeypatch.chdir(tmp_path)
     assert isinstance(run("calibrate", "--vehicle", "warthog", "--out", "c.json", *words).exception, Reached)
     settings, again = reached["calibrate"][0], reached["calibrate"][4]
     if "patches=2" in words:
@@ -215,9 +219,8 @@ LONG = [name for name in COMMANDS if name != "settings" and not name.startswith(
 
 
 @pytest.mark.parametrize("name", [name for name in LONG if name not in {"batch", "demo", "report", "info", "view"}])
-def test_a_settings_file_names_every_setting_and_its_default(name, tmp_path, monkeypatch, reached):
+def test_a_settings_file_names_every_setting_and_its_default(name, tmp_path, reached):
     """Its lines without the # give what the command does without the file."""
-    monkeypatch.chdir(tmp_path)
     text = run("settings", *name.split()).stdout
     keys = {key.split(".")[-1] for _, key, _ in moved(name)}
     assert keys <= set(re.findall(r"^#([a-z_]+) =", text, re.MULTILINE))
@@ -273,16 +276,6 @@ def test_what_refuses_a_moved_option_names_a_command_that_prints_its_settings(na
         assert f"write --set {key}={value}, or put it" in done.stderr
         assert f"bumpymap settings {name} prints one" in done.stderr
         assert key.split(".")[-1] in run("settings", *name.split()).stdout
-
-
-pytestmark = pytest.mark.usefixtures("without_views")
-
-WARTHOG = Calibration.shipped("warthog")
-
-
-@pytest.fixture(autouse=True)
-def _here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 # --- vehicle ---

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import shapely
 from pyproj import CRS, Proj, Transformer
+from rings import HALF_M, Ring, crossed_by_tools
 from route_maps import COLS, ROWS, SOUTH, WEST, bare_map, place, site, write_folder
-from scenes import HALF_M, Ring, crossed_by_tools
 from scipy.ndimage import gaussian_filter
 from small_surveys import files_in
 from tile_maps import CORNERS, WARTHOG, MadeUpMap, TileMap, cheapest_on_pixels, make_route, reach_by_graph, smooth_field

@@ -8,22 +8,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings, strategies as st
-from scenes import (
-    GROUND,
-    GROUND_KINDS,
-    OTHER,
-    PIXELS,
-    TILE_SIZE,
-    Place,
-    Ring,
-    Scene,
-    ScenePoints,
-    Solid,
-    Wall,
-    seen_pixels,
-    survey_scene,
-    write_points,
-)
+from rings import GROUND_KINDS, Ring, write_points
+from scenes import GROUND, OTHER, PIXELS, TILE_SIZE, Place, Scene, ScenePoints, Solid, Wall, seen_pixels, survey_scene
 from scipy import ndimage
 from scipy.ndimage import distance_transform_edt
 from scipy.stats import binned_statistic_2d

@@ -7,8 +7,9 @@ import pytest
 from check_records import made_up_check, on_site
 from classed_site import classed_fixture, nothing_fixture, scan_fixture  # noqa: F401 (found by pytest)
 from cost_maps import COLS, ROWS, make_field, survey, with_objects
+from rings import write_points
 from route_maps import write_folder
-from scenes import Place, Scene, Solid, survey_scene, write_points
+from scenes import Place, Scene, Solid, survey_scene
 from small_surveys import no_views
 
 import bumpymap
