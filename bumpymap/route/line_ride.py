@@ -34,6 +34,7 @@ from bumpymap.core import (
     interval_log_sd,
     loops,
     path_of_call,
+    tiles_of,
 )
 from bumpymap.layers import MapReader, common_window, open_map
 from bumpymap.rating import (
@@ -386,7 +387,7 @@ def _roll(
     """
     pixels, parts = site.grid.pixels, _parts(site, line, at, max(int(_STRETCH_M / vehicle.way), 1))
     windows = [_read(site, *_places(line, part, vehicle.operator, across), vehicle) for part in parts]
-    boxes = [window.heights.reshape(len(window.touched), pixels, -1, pixels).swapaxes(1, 2) for window in windows]
+    boxes = [tiles_of(window.heights, pixels) for window in windows]
     bands = np.concatenate([window.bands for window in windows], axis=1)
     own, slope = _own_speed(bands, vehicle), np.nan_to_num(bands[3]).astype(np.float64)
     noise = match_noise(_relief(boxes, windows), own, slope, vehicle.correction, vehicle.operator)

@@ -1,10 +1,10 @@
 // Gathers the points of frame after frame in voxels, which are found by a hash of their key (open addressing).
 //
-// Of ground a voxel keeps those that come first in an order without a pattern, which their place in the voxel, in plan,
-// tells: as many of them lie in each part of a pixel, above and below the border of two voxels, as of all. Nearest
-// points would lie at the edge of the pixel, and a few from each of two voxels would pull the ground to the border
-// between them. Of others a voxel keeps one of each frame before a second of any, those nearest to the sensor, the
-// first frame's of equals. The caller sees to it that the table has room. Ours; see merge.py for the arrays.
+// Of ground a voxel keeps a pseudo-random sample, by a hash of the place in the voxel, in plan: the points nearest to
+// the sensor would lie at the edge of the pixel, and some from each of two voxels, one above the other, would pull the
+// ground to the border between them. Of others it keeps one of each frame before a second of any, those nearest to the
+// sensor, the first frame's of equals. The caller sees to it that the table has room. Ours; see merge.py for the
+// arrays.
 #include "bumpytiles/bindings.hpp"
 #include "bumpytiles/grouping.hpp"
 
@@ -42,8 +42,8 @@ Index row_of(const VoxelTable& table, Index key) {
     return row;
 }
 
-// A number without a pattern for a place in a voxel in plan, mm; by SplitMix64.
-std::uint32_t mixed(Index x, Index y) {
+// The hash of a place in a voxel, in plan, mm; constants of SplitMix64.
+std::uint32_t hash_of(Index x, Index y) {
     std::uint64_t bits = (static_cast<std::uint64_t>(y) << 32U) | static_cast<std::uint64_t>(x);
     bits = (bits ^ (bits >> 30U)) * 0xBF58476D1CE4E5B9U;
     bits = (bits ^ (bits >> 27U)) * 0x94D049BB133111EBU;
@@ -70,7 +70,7 @@ void gather_points(
             table.mine[at] = 0;
         }
         if (kind[i] == 0 && table.mine[at] == most) continue;
-        const std::uint32_t turn = kind[i] != 0 ? mixed(inside(0), inside(1))
+        const std::uint32_t turn = kind[i] != 0 ? hash_of(inside(0), inside(1))
                                                 : static_cast<std::uint32_t>(table.mine[at]++ * 65'536 + range_cm[i]);
         const std::int32_t held = table.held[at];
         if (held == most && turn >= table.turn(at, most - 1)) continue;

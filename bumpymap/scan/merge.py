@@ -98,12 +98,12 @@ class VoxelTable(NamedTuple):
     last: NDArray[np.int32]
     """The last of them."""
     mine: NDArray[np.int32]
-    """Points of that frame so far."""
+    """Points of that frame so far, if they are not ground."""
     held: NDArray[np.int32]
     """Points kept of it."""
     turn: NDArray[np.uint32]
-    """(rows, kept) increasing: of ground a number without a pattern for the place in the voxel; of others the points
-    that the frame had there before, times 65,536, plus distance from the sensor, cm."""
+    """(rows, kept) increasing: of ground a hash of the place in the voxel; of others the points that the frame had
+    there before, times 65,536, plus distance from the sensor, cm."""
     place: NDArray[np.int32]
     """(rows, kept, 3) where they are, mm."""
     size: NDArray[np.int32]
@@ -268,15 +268,15 @@ class DriveMerge:
         return found
 
     def _has_moved(
-        self, block: int, table: VoxelTable, nearest: NDArray[np.int32], through: NDArray[np.int32]
+        self, block: int, table: VoxelTable, points: NDArray[np.int32], through: NDArray[np.int32]
     ) -> NDArray[np.bool_]:
         """Return which voxels of a block (n,) hold what moved; ``through``: frames that saw through each.
 
         More frames saw through it, or through one above, than saw something in it.
         """
-        hits, cell = table.hits[: len(nearest)], nearest.astype(np.int64) // VOXEL_MM
+        hits, cell = table.hits[: len(points)], points.astype(np.int64) // VOXEL_MM
         moved = (through >= _LEAST_THROUGH) & (through > hits)
-        other = table.key[: len(nearest)] & 1 == 0
+        other = table.key[: len(points)] & 1 == 0
         known, seen = _key_of(cell[moved & other]), through[moved & other]
         if len(known):
             order = np.argsort(known)
@@ -284,12 +284,12 @@ class DriveMerge:
                 key = _key_of(cell + np.array([east - 1, north - 1, 1]))
                 at = order[np.minimum(np.searchsorted(known, key, sorter=order), len(known) - 1)]
                 moved |= other & (known[at] == key) & (seen[at] > hits)
-        return moved | self._was_driven_over(block, nearest, cell, other, through >= _LEAST_THROUGH)
+        return moved | self._was_driven_over(block, points, cell, other, through >= _LEAST_THROUGH)
 
     def _was_driven_over(
         self,
         block: int,
-        nearest: NDArray[np.int32],
+        points: NDArray[np.int32],
         cell: NDArray[np.int64],
         other: NDArray[np.bool_],
         is_through: NDArray[np.bool_],
@@ -301,13 +301,13 @@ class DriveMerge:
         from scipy.ndimage import binary_propagation
         from scipy.spatial import KDTree
 
-        driven = np.zeros(len(nearest), np.bool_)
+        driven = np.zeros(len(points), np.bool_)
         wide = np.abs([self._robot.radius_m, *(self._robot.box_m or ())[2:]]).max()
         if self._check.height_m is None or not wide:
             return driven
         way = way_along(self.poses[self._check.kept]) - self._origin(block)
-        near = KDTree(way[:, :2]).query(0.001 * nearest[:, :2], distance_upper_bound=wide)[1]
-        above = 0.001 * nearest[:, 2] - np.append(way[:, 2], np.nan)[near]
+        near = KDTree(way[:, :2]).query(0.001 * points[:, :2], distance_upper_bound=wide)[1]
+        above = 0.001 * points[:, 2] - np.append(way[:, 2], np.nan)[near]
         driven = other & (above > _BELLY_M - self._check.height_m) & (above < _TOP_M)
         if driven.any():
             low, high = cell[driven].min(axis=0) - _AROUND, cell[driven].max(axis=0) + _AROUND
@@ -325,10 +325,10 @@ class DriveMerge:
         """
         used = int(table.size[0])
         is_ground = table.key[:used] & 1 == 1
-        nearest = table.place[:used, 0]
-        through = self._judge(block, nearest.copy())[0]
-        moved = self._has_moved(block, table, nearest, through)
-        above = self._judge(block, nearest[is_ground] + np.array([0, 0, _PROBE_MM], np.int32))
+        points = table.place[:used, 0]
+        through = self._judge(block, points.copy())[0]
+        moved = self._has_moved(block, table, points, through)
+        above = self._judge(block, points[is_ground] + np.array([0, 0, _PROBE_MM], np.int32))
         hidden = np.zeros(used, np.bool_)
         hidden[is_ground] = (above[0] + above[2] == 0) & (above[1] > 0)
         kept = np.arange(MOST_GROUND) < table.held[:used, None]

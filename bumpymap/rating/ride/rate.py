@@ -34,6 +34,7 @@ from bumpymap.core import (
     PatchStack,
     Reason,
     loops,
+    tiles_of,
 )
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride.correction import Correction, Prediction, class_chance
@@ -249,7 +250,7 @@ def smooth_over(heights: Floats, noise: Floats, pixels: int) -> Floats:
     variance = np.repeat(np.repeat(noise**2, pixels, axis=0), pixels, axis=1)
     for first in product((0, half), repeat=2):
         here = tuple(slice(own, (own - pixels) if own else None) for own in first)
-        patches, own, taken, shares = (_cut(values[here], pixels) for values in (heights, variance, added, weight))
+        patches, own, taken, shares = (tiles_of(values[here], pixels) for values in (heights, variance, added, weight))
         known, found = np.isfinite(patches).all(axis=(2, 3)), np.isfinite(own)
         mean = np.where(found, own, 0.0).sum(axis=(2, 3)) / np.maximum(found.sum(axis=(2, 3)), 1)
         shares[known] += fade
@@ -257,12 +258,6 @@ def smooth_over(heights: Floats, noise: Floats, pixels: int) -> Floats:
         relief = remove_plane(patches[at]).astype(np.float32)
         taken[at] += fade * (_without(relief, np.sqrt(mean[at])) - relief)
     return added / np.maximum(weight, 1e-9)
-
-
-def _cut(mosaic: Floats, pixels: int) -> Floats:
-    """Return a view of a mosaic as tiles, (rows, cols, pixels, pixels)."""
-    rows, cols = (size // pixels for size in mosaic.shape)
-    return mosaic.reshape(rows, pixels, cols, pixels).transpose(0, 2, 1, 3)
 
 
 def _without(relief_map: NDArray[np.float32], noise: Floats) -> NDArray[np.float32]:
