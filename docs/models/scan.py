@@ -8,10 +8,11 @@ and libraries; an interrupted training goes on, the scenes are simulated again.
 """
 
 import argparse
-import sys
 from pathlib import Path
 
 import numpy as np
+from scan_scenes.lidar import overhead_scan, scene_scan
+from scan_scenes.scene import make_scene
 
 from bumpymap.lab.settings import ScanTrainSettings
 from bumpymap.lab.train.model_files import training_files, write_model
@@ -25,11 +26,6 @@ from bumpymap.lab.train.scan_net import (
     to_onnx,
     train,
 )
-
-sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "worlds"))
-
-from scan_scenes.lidar import overhead_scan, scene_scan
-from scan_scenes.scene import make_scene
 
 UNSEEN, UNSEEN_SCENES = 1_000_000, 110
 """Number of the first scene that is never used in training, and of the scenes in the scores: ten of every theme."""

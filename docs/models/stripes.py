@@ -4,11 +4,12 @@ Takes some minutes and open3d. Scenes are those of seed 5150: twelve of every th
 """
 
 import json
-import sys
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from scan_scenes.lidar import scene_scan
+from scan_scenes.scene import THEMES
 from sklearn.cluster import KMeans
 
 import bumpymap
@@ -17,11 +18,6 @@ from bumpymap.lab import LABEL_SETS
 from bumpymap.lab.train.scan_net import crowns_as_bushes
 from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.scan.stripes import StripeFilter, StripeModel, count_stripes
-
-sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "worlds"))
-
-from scan_scenes.lidar import scene_scan
-from scan_scenes.scene import THEMES
 
 SEED, OF_A_THEME = 5150, 12
 OUT = Path(bumpymap.__file__).parent / "scan" / "data" / "models" / "stripes.json"

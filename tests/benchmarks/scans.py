@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from run import BUMPYMAP, Sample, run_timed
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "docs" / "models"))
 
 _POINTS, _FRAMES, _ROUNDS, _THREADS = 124_000, 100, 2, (1, 2)
 _KINDS = {"table": ("--set", "products=table"), "everything": (), "everything, all pictures": ("--pictures", "1")}

@@ -17,7 +17,7 @@ import pytest
 from made_drives import write_bin
 from numpy.testing import assert_array_equal
 from point_files import read_vertices, write_ply
-from scan_scenes.things import make_field
+from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
@@ -25,6 +25,7 @@ import bumpymap
 from bumpymap import ScanClassifier
 from bumpymap.core import NO_CLASS, BadInputError, GridSettings, Robot, Scan, UsageError
 from bumpymap.core.scan_types import NOT_TRAVERSABLE, cell_numbers, sector_bounds
+from bumpymap.lab.terrains import fractal
 from bumpymap.layers import open_accumulated
 from bumpymap.rating import find_calibration
 from bumpymap.scan import ScanConfig, classify_filter, load_stripes, polar_sectors, scan_frames
@@ -172,8 +173,10 @@ HALF_M = 21.0
 
 def relief_height():
     """Height of relief that grows northwards from almost none, a function of x and y [m]."""
-    field = make_field(np.random.default_rng(3), 512, 0.05, 0.6, (0.3, 6.0))
-    return lambda x, y: 0.1 * np.clip((y + 15.0) / 30.0, 0.03, 1.0) * field.at(x, y) - HIGH_M
+    at = np.arange(-1.6 * HALF_M, 1.6 * HALF_M, 0.1)
+    relief = fractal(np.random.default_rng(3), np.broadcast_to(at, (len(at), len(at))), 0.6, 0.1)
+    field = RegularGridInterpolator((at, at), relief)
+    return lambda x, y: np.clip((y + 15.0) / 30.0, 0.03, 1.0) * field((y, x)) - HIGH_M
 
 
 def lines_on(ground, steepness):

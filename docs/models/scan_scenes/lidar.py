@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from bumpymap.core import Scan
 from bumpymap.lab.terrains import log_uniform
+from scan_scenes.objects import REFLECTIONS, Floats, Label, ground_mesh
 from scan_scenes.scene import Scene, make_scene
-from scan_scenes.things import REFLECTIONS, Floats, Label, ground_mesh
 
 _LOOP_TURN = 0.2199
 """Turns of a rosette for one oscillation between its margins."""
@@ -236,9 +236,9 @@ class _World:
         self._rays: Any = open3d.t.geometry.RaycastingScene(nthreads=1)
         corners, triangles = ground_mesh(scene.ground, rng, sensor.end_m + _MARGIN_M)
         self._rays.add_triangles(_tensor(corners), _tensor(triangles))
-        kinds = sorted({kind for kind, _ in scene.things})
+        kinds = sorted({kind for kind, _ in scene.objects})
         for kind in kinds:
-            soup = np.concatenate([part for name, part in scene.things if name == kind]).reshape(-1, 3)
+            soup = np.concatenate([part for name, part in scene.objects if name == kind]).reshape(-1, 3)
             self._rays.add_triangles(_tensor(soup), _tensor(np.arange(len(soup), dtype=np.uint32).reshape(-1, 3)))
         self._labels = np.array([Label.VOID, *kinds], np.uint32)
         """Label of each body; VOID for the ground, whose labels depend on the place."""

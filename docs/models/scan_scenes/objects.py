@@ -1,4 +1,4 @@
-"""Labels of RELLIS-3D, random fields, the things of a scene as triangles, and its ground: relief, labels, a mesh.
+"""Labels of RELLIS-3D, random fields, the objects of a scene as triangles, and its ground: relief, labels, a mesh.
 
 Fields are periodic: computed once on a small square, sampled anywhere, rotated so that periods do not align. Triangles
 are arrays (m, 3, 3): triangle, corner, x y z [m]. The ``reach`` of a region is a normalised distance: below 1 inside,

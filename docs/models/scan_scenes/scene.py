@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bumpymap.lab.terrains import log_uniform
-from scan_scenes import things as make
-from scan_scenes.things import Blob, Floats, Height, Label, Region, SceneGround, Triangles, make_field
+from scan_scenes import objects as make
+from scan_scenes.objects import Blob, Floats, Height, Label, Region, SceneGround, Triangles, make_field
 
 _END_M = 85.0
 """Things stand along the road up to this distance."""
@@ -97,24 +97,24 @@ def make_street(rng: np.random.Generator, side: Roadside) -> make.Road:
     )
 
 
-def roadside_things(
+def roadside_objects(
     rng: np.random.Generator, side: Roadside, road: make.Road, height: Height
 ) -> list[tuple[Label, Triangles]]:
     """Draw what stands on a road and along it, as labels and triangles."""
-    things = _vehicles(rng, side, road, height)
+    objects = _vehicles(rng, side, road, height)
     for way in (-1.0, 1.0):
-        things += _row(rng, side, road, way, height)
+        objects += _row(rng, side, road, way, height)
     edge = road.half_width_m + road.pavement_m
     for _ in range(int(rng.integers(0, side.persons + 1))):
         feet = _feet(road, rng.uniform(-30, 30, 1), rng.choice([-1, 1]) * rng.uniform(0.4, 1.0) * edge, height)
-        things.append((Label.PERSON, make.person(rng, feet[0, :3])))
+        objects.append((Label.PERSON, make.person(rng, feet[0, :3])))
     for _ in range(int(rng.integers(0, side.bushes + 1))):
         away = (edge + 1.5 * road.verge_m + rng.exponential(8.0)) * rng.choice([-1, 1])
         feet = _feet(road, rng.uniform(-60, 60, 1), away, height)
-        things.append((Label.BUSH, make.bush(rng, feet[0, :3], log_uniform(rng, 0.4, 2.5))))
+        objects.append((Label.BUSH, make.bush(rng, feet[0, :3], log_uniform(rng, 0.4, 2.5))))
     return [
         (label, soup)
-        for label, soup in things
+        for label, soup in objects
         if label == Label.TREE or np.hypot(soup[..., 0], soup[..., 1]).min() > _NEAREST_M
     ]
 
@@ -149,7 +149,7 @@ def _row(
 ) -> list[tuple[Label, Triangles]]:
     """Draw the trees, poles, rails, fences, hedges and walls of one side, which is to the left if ``way`` is 1."""
     edge = road.half_width_m + road.pavement_m
-    things: list[tuple[Label, Triangles]] = []
+    objects: list[tuple[Label, Triangles]] = []
 
     def stretch(step: float, across: float, longest: float) -> Floats:
         start, length = rng.uniform(-_END_M, 30.0), rng.uniform(10.0, longest)
@@ -160,26 +160,27 @@ def _row(
         feet = _feet(road, np.arange(-_END_M, _END_M, step) + rng.uniform(0, step), way * away, height)
         for foot in feet[rng.uniform(size=len(feet)) < 0.85]:
             clear = rng.uniform(*side.clear_m)
-            things.append((Label.TREE, make.tree(rng, foot[:3], clear + log_uniform(rng, 3.0, 10.0), clear)))
+            objects.append((Label.TREE, make.tree(rng, foot[:3], clear + log_uniform(rng, 3.0, 10.0), clear)))
     if rng.uniform() < side.poles:
         away = road.half_width_m + rng.uniform(0.3, 1.0)
         feet = _feet(road, np.arange(-_END_M, _END_M, rng.uniform(15.0, 40.0)), way * away, height)
-        things += [(Label.BARRIER, make.pole(rng, foot[:3], float(foot[3]))) for foot in feet]
+        objects += [(Label.BARRIER, make.pole(rng, foot[:3], float(foot[3]))) for foot in feet]
     if rng.uniform() < side.rails:
-        things.append((Label.BARRIER, make.guard_rail(stretch(rng.uniform(2.0, 4.0), road.half_width_m + 0.8, 150.0))))
+        objects.append((Label.BARRIER, make.guard_rail(stretch(rng.uniform(2.0, 4.0), road.half_width_m + 0.8, 150.0))))
     if rng.uniform() < side.fences:
         feet = stretch(rng.uniform(1.8, 3.0), edge + rng.uniform(0.8, 2 * road.verge_m), 60.0)
-        things.append((Label.FENCE, make.fence_along(rng, feet[:, :2], height)))
+        objects.append((Label.FENCE, make.fence_along(rng, feet[:, :2], height)))
     if rng.uniform() < side.hedges:
-        things.append((Label.BUSH, make.hedge(rng, stretch(rng.uniform(0.6, 1.2), edge + rng.uniform(1.0, 6.0), 50.0))))
+        feet = stretch(rng.uniform(0.6, 1.2), edge + rng.uniform(1.0, 6.0), 50.0)
+        objects.append((Label.BUSH, make.hedge(rng, feet)))
     if rng.uniform() < side.walls:
         away, start = edge + rng.uniform(0.3, 6.0), -_END_M
         while start < _END_M:
             long = rng.uniform(6.0, 25.0)
             feet = _feet(road, np.linspace(start, start + long, 6), way * (away + rng.uniform(0, 1.5)), height)
-            things.append((Label.BARRIER, make.wall(rng, feet[:, :3])))
+            objects.append((Label.BARRIER, make.wall(rng, feet[:, :3])))
             start += long + (rng.uniform(1.0, 8.0) if rng.uniform() < 0.6 else 0.0)
-    return things
+    return objects
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,7 +235,7 @@ class Scene:
 
     theme: str
     ground: SceneGround
-    things: tuple[tuple[Label, Triangles], ...]
+    objects: tuple[tuple[Label, Triangles], ...]
     """Objects on the ground: label and triangles (m, 3, 3), m."""
     seed: tuple[int, ...] = field(default=())
     """Seed from which it was drawn."""
@@ -249,13 +250,13 @@ def make_scene(seed: int, index: int, theme: str | None = None) -> Scene:
     name = list(THEMES)[index % len(THEMES)] if theme is None else theme
     rng = np.random.default_rng([seed, index, 0])
     ground = _draw_ground(rng, THEMES[name], name)
-    things = tuple(_draw_things(rng, THEMES[name], ground))
+    objects = tuple(_draw_objects(rng, THEMES[name], ground))
     for region in ground.regions:
         if THEMES[name].street and isinstance(region, make.Road):
-            things += tuple(roadside_things(rng, ROADSIDES[name], region, ground.height))
+            objects += tuple(roadside_objects(rng, ROADSIDES[name], region, ground.height))
     wet = float(rng.uniform(0.1, 0.8)) if rng.uniform() < _WET else 0.0
     mirror = log_uniform(rng, 0.01, 0.5) if rng.uniform() < _MIRRORS else 0.0
-    return Scene(name, ground, things, (seed, index), wet, mirror)
+    return Scene(name, ground, objects, (seed, index), wet, mirror)
 
 
 _WET = 0.15
@@ -348,9 +349,9 @@ def _draw_water(rng: np.random.Generator, theme: Theme, bare: SceneGround) -> li
     return drawn
 
 
-def _draw_things(rng: np.random.Generator, theme: Theme, ground: SceneGround) -> list[tuple[Label, Triangles]]:
+def _draw_objects(rng: np.random.Generator, theme: Theme, ground: SceneGround) -> list[tuple[Label, Triangles]]:
     height = ground.height
-    things: list[tuple[Label, Triangles]] = []
+    objects: list[tuple[Label, Triangles]] = []
     for label, places, build, sizes in (
         (Label.GRASS, _spots(rng, _up_to(rng, theme.herbs), 2.0, 40.0), make.herb, (0.1, 0.4)),
         (Label.BUSH, _spots(rng, _up_to(rng, theme.bushes), 4.0, 80.0), make.bush, (0.4, 2.5)),
@@ -361,15 +362,15 @@ def _draw_things(rng: np.random.Generator, theme: Theme, ground: SceneGround) ->
         z = height(places[:, 0], places[:, 1])
         for place, up in zip(places, z, strict=True):
             size = (log_uniform(rng, *sizes),) if sizes else ()
-            things.append((label, build(rng, np.array([*place, up]), *size)))
+            objects.append((label, build(rng, np.array([*place, up]), *size)))
     for label, most, build in ((Label.FENCE, theme.fences, make.fence), (Label.BARRIER, theme.barriers, make.barrier)):
         lines = [build(rng, np.array(_place(rng, 5, 50)), height) for _ in range(_up_to(rng, most))]
-        things += [(label, soup) for soup in lines if np.hypot(soup[..., 0], soup[..., 1]).min() > 2.0]
+        objects += [(label, soup) for soup in lines if np.hypot(soup[..., 0], soup[..., 1]).min() > 2.0]
     for region in ground.regions:
         if region.label == Label.RUBBLE and isinstance(region, Blob):
             build_field = make.stone_field if rng.uniform() < 0.35 else make.block_field
-            things.append((Label.RUBBLE, build_field(rng, _inside(rng, region, ground), height)))
-    return [(label, soup) for label, soup in things if len(soup)]
+            objects.append((Label.RUBBLE, build_field(rng, _inside(rng, region, ground), height)))
+    return [(label, soup) for label, soup in objects if len(soup)]
 
 
 def _spots(rng: np.random.Generator, count: int, nearest: float, farthest: float) -> Floats:
