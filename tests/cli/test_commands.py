@@ -256,18 +256,18 @@ def test_where_the_survey_is_too_thin_the_message_says_what_density_would_do(tmp
 
 def test_a_map_with_a_setting_and_a_raster_that_are_gone_is_read_like_one_without(tmp_path):
     """Earlier versions rated the ride by heading too."""
-    old = copy_folder(Path("layers"), tmp_path / "old", settings=RUN["settings"] | {"headings": True})
+    old = copy_folder(Path("may"), tmp_path / "old", settings=RUN["settings"] | {"headings": True})
     (old / "rasters/headings.tif").write_bytes(b"is not read")
     list_anew(old, files=[*json.loads((old / "run.json").read_text())["files"], {"path": "rasters/headings.tif"}])
     written = []
-    for number, layers in enumerate(("layers", old)):
+    for number, layers in enumerate(("may", old)):
         out = tmp_path / str(number)
         for words in ("route", "--from", A, "--to", C), ("export", "--to", "nav2"):
             run(words[0], layers, *words[1:], "--out", out / words[0], code=0)
         written.append([(out / name).read_bytes() for name in ("route/route.geojson", "export/map.pgm")])
     assert written[0] == written[1]
     run("report", old, code=0)
-    run("diff", "layers", old, "--out", tmp_path / "diff", code=0)
+    run("diff", old, "june", "--out", tmp_path / "diff", code=0)
 
 
 # --- scan ---
