@@ -328,7 +328,7 @@ def map_survey(
     **settings
         Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``,
         ``ground_classes``, ``align``, ``rating``,
-        ``compat``, ``vehicle``, ``calibration``, ``speed`` [m/s], ``headings``, ``model``, ``crs``, ``force_crs``,
+        ``compat``, ``vehicle``, ``calibration``, ``speed`` [m/s], ``model``, ``crs``, ``force_crs``,
         ``xy_unit``, ``z_unit``, ``dtm``, ``photo``, ``local``, ``trust_points``, ``skip_bad``, ``max_unknown``,
         ``overwrite``, ``threads``, ``memory``, ``scratch``, ``scheduler``, ``provider``, ``license``; ``features``,
         ``csf`` and ``page`` are dicts, the tables of a settings file.

@@ -159,9 +159,6 @@ from .route_types import (
     TileField as TileField,
     TracedLine as TracedLine,
     Turn as Turn,
-    axes_along as axes_along,
-    axis_values as axis_values,
-    by_mean as by_mean,
     slope_cost as slope_cost,
 )
 from .run_folder import (
@@ -239,7 +236,6 @@ from .settings import (
     value_of_text as value_of_text,
 )
 from .types import (
-    AXES_DEG as AXES_DEG,
     BANDS as BANDS,
     BARRED_TEXT as BARRED_TEXT,
     CANOPY as CANOPY,
@@ -253,7 +249,6 @@ from .types import (
     FAIL_SHARE as FAIL_SHARE,
     FREE as FREE,
     GROUND_SOURCE as GROUND_SOURCE,
-    HEADING_BANDS as HEADING_BANDS,
     HOLE_POINTS as HOLE_POINTS,
     HOLE_SHARE as HOLE_SHARE,
     LONE as LONE,

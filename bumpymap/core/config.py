@@ -168,10 +168,6 @@ class MapConfig:
         float | None, Setting("Rated speed, m/s", "SPEED", 0.01, 100.0, "m/s", default="the vehicle's", group="Vehicle")
     ] = None
     """Speed that the ride is rated at, m/s; None: that of the vehicle's profile."""
-    headings: Annotated[bool, Setting("Write the ride cost by heading, for routes that know direction", rare=True)] = (
-        False
-    )
-    """Write headings.tif, the ride cost along 8 axes; `route` then costs each move by its own heading."""
     model: Annotated[Path | None, Setting("ONNX file of your own texture network", "FILE", rare=True)] = None
     """The ONNX file of a texture network, used instead of the one that ships with bumpymap."""
     crs: Annotated[str | None, Setting("CRS of surveys that have none: EPSG:32614", "CRS", group="Input")] = None
@@ -228,12 +224,10 @@ class MapConfig:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        given = next((name for name in ("speed", "headings") if getattr(self, name) not in (None, False)), None)
-        if given and not self.by_ride:
+        if self.speed is not None and not self.by_ride:
             name, value = ("rating", self.rating) if self.compat == "none" else ("compat", self.compat)
-            known = "heading" if given == "headings" else "speed"
             raise UsageError(
-                f"`{name}='{value}'` knows no {known}: only the ride model does. Leave out `{given}`, or `{name}`"
+                f"`{name}='{value}'` knows no speed: only the ride model does. Leave out `speed`, or `{name}`"
             )
         if not re.fullmatch(r"[\w.+-]*", self.license, re.ASCII):
             raise UsageError(f"`license` is {self.license!r}; give an SPDX identifier such as CC-BY-4.0, or 'other'")
@@ -402,7 +396,6 @@ MOST_COST = 1e9
 class DirectionSettings:
     """Settings of what a metre costs by the direction in which it is driven."""
 
-    direction: Annotated[bool, Setting("Cost each move by its own heading, if the map tells it", rare=True)] = True
     climb: Annotated[float, Setting("Detour that a metre of climb is worth", "M", 0.0, MOST_COST, "m", rare=True)] = 0.0
     descent: Annotated[
         float, Setting("Detour that a metre of descent is worth", "M", 0.0, MOST_COST, "m", rare=True)

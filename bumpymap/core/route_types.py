@@ -79,44 +79,6 @@ def slope_cost(
     return along + settings.side_slope * across, across > settings.steepest
 
 
-TAN = math.sqrt(2.0) - 1.0
-"""Of 22.5 degrees."""
-
-
-def axes_along(
-    axes: int, down: NDArray[np.floating], right: NDArray[np.floating]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Return the two axes that each of n directions lies between, and how far it is from the first, (n,) each."""
-    steep, north_east = np.abs(down) >= np.abs(right), down * right < 0.0
-    less, more = np.sort(np.abs([down, right]), axis=0)
-    t = np.divide(less, more, out=np.zeros(len(more)), where=more > 0.0)
-    straight, diagonal = np.where(steep, 0, 4), np.where(north_east, 2, 6)
-    between = np.where(steep, np.where(north_east, 1, 7), np.where(north_east, 3, 5))
-    near = t <= TAN
-    first, second = np.where(near, straight, between), np.where(near, between, diagonal)
-    share = np.where(near, t / TAN, (t - TAN) / (1.0 - TAN))
-    return (first, second, share) if axes > 1 else (0 * first, 0 * first, 0.0 * share)
-
-
-def axis_values(values: NDArray[np.floating], down: NDArray[np.floating], right: NDArray[np.floating]) -> Floats:
-    """Return values along directions, (n,), between those of the axes: linear in the slope against rows or columns.
-
-    ``values`` (n, 1) or (n, 8); ``down``, ``right`` (n,) or numbers: southwards and eastwards.
-    """
-    first, second, share = axes_along(values.shape[1], *np.broadcast_arrays(down, right, np.empty(len(values)))[:2])
-    each = np.arange(len(values))
-    low = values[each, first].astype(np.float64)
-    with np.errstate(invalid="ignore"):  # infinite where the ground is closed
-        return np.where(np.isfinite(low), low + share * (values[each, second] - low), low)
-
-
-def by_mean(headings: NDArray[np.float32], c_r: NDArray[np.float32]) -> Floats:
-    """Return C_r along each axis, (..., 8), over that of the tile, (...); 1 where it is unknown or 0."""
-    mean = c_r[..., None].astype(np.float64)
-    known = np.isfinite(headings) & (mean > 0.0)
-    return np.divide(headings, mean, out=np.ones(headings.shape), where=known)
-
-
 @dataclass(frozen=True, slots=True)
 class TracedLine:
     """The pieces of a line, cut at the borders of tiles, in order; pieces of length 0 are left out."""

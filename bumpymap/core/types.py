@@ -441,8 +441,6 @@ class CostMap:
     """(n,) side of the narrowest standing object that would have shown with 95 %, m."""
     thin: NDArray[np.float32] | None = None
     """(n, 44) what the rating of thin tiles needs, see `bumpymap.rating.thin_columns`; None if they are not rated."""
-    headings: NDArray[np.float32] | None = None
-    """(n, 8) C_r along each of ``AXES_DEG`` over this c_r; None if it is not asked for."""
 
     def band(self, name: str) -> NDArray[np.floating]:
         """Return the values of one of ``BANDS``, (n,)."""
@@ -457,7 +455,6 @@ class CostMap:
         for name, shape in shapes.items():
             values = getattr(self, name)
             own[name] = np.full((len(self.class_id), *shape), np.nan, np.float32) if values is None else values
-        own |= {} if self.headings is None else {"headings": self.headings}
         names = [column.name for column in rated_columns(self.patches.grid.pixels) if column.name not in own]
         return {name: self.band(name) for name in names} | own
 
@@ -494,11 +491,8 @@ def photo_column(pixels: int) -> Column:
 _RIDE = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence")
 
 
-def rated_columns(pixels: int, *, headings: bool = False) -> tuple[Column, ...]:
-    """Return the columns of a tile rated by itself, named as in `PatchStack`, `CostMap` and `ObjectStack`.
-
-    With ``headings``, the ride by heading is among them.
-    """
+def rated_columns(pixels: int) -> tuple[Column, ...]:
+    """Return the columns of a tile rated by itself, named as in `PatchStack`, `CostMap` and `ObjectStack`."""
     floats = ("z_min", "z_max", "z_variance", "ransac_residual", "slope", "z_range", "density", "coverage", "relief")
     return (
         *(Column(name, "<i8") for name in ("col", "row", "count")),
@@ -511,7 +505,6 @@ def rated_columns(pixels: int, *, headings: bool = False) -> tuple[Column, ...]:
         *(Column(name, "<f4") for name in ("all_density", "smallest_object")),
         Column("objects", "|u1", (pixels, pixels)),
         Column("thin", "<f4", (THIN_MEASURES,)),
-        *((_HEADINGS,) if headings else ()),
     )
 
 
@@ -519,7 +512,7 @@ SEEN_COLUMNS = ("all_density", "smallest_object", "smallest_step")
 """Columns of what the survey of a tile would have shown, as `SeenSizes` has them."""
 
 
-def neighbour_columns(pixels: int, *, headings: bool = False) -> tuple[Column, ...]:
+def neighbour_columns(pixels: int) -> tuple[Column, ...]:
     """Return the columns that depend on the neighbours of a tile; rating and objects are among them: they may change.
 
     ``edge_step`` [m] is the highest of the steps at the four sides, ``step_north`` to ``step_west`` [m]; NaN where
@@ -527,7 +520,7 @@ def neighbour_columns(pixels: int, *, headings: bool = False) -> tuple[Column, .
     ``p_fail_open`` are those of the ground beside the steps that close a part of it; else NaN. ``all_density``,
     ``smallest_object`` and ``smallest_step`` [m] say what would have shown; NaN in unknown tiles. ``barred`` is a
     `Barred`; ``passable`` is 1 or 0. ``passage`` numbers the areas of a tile in which the middle of the vehicle can
-    move, from 1, the largest; 0 where it cannot be. ``headings`` holds the values of `HEADING_BANDS`.
+    move, from 1, the largest; 0 where it cannot be.
     """
     objects, steps = ("obstacle", "obstacle_height", "clearance"), tuple(f"step_{side}" for side in SIDES)
     singles = (*_RIDE, *objects, "edge_step", "inner_step", "c_r_open", "p_fail_open", *SEEN_COLUMNS, *steps)
@@ -536,12 +529,11 @@ def neighbour_columns(pixels: int, *, headings: bool = False) -> tuple[Column, .
         *(Column(name, "<f4") for name in singles),
         Column("objects", "|u1", (pixels, pixels)),
         Column("passage", "|u1", (pixels, pixels)),
-        *((_HEADINGS,) if headings else ()),
     )
 
 
 def tile_columns(pixels: int) -> tuple[Column, ...]:
-    """Return all columns of a finished tile, without the ride by heading."""
+    """Return all columns of a finished tile."""
     own = rated_columns(pixels)
     known = {column.name for column in own}
     return (*own, *(column for column in neighbour_columns(pixels) if column.name not in known), ZONE)
@@ -593,12 +585,3 @@ BANDS: tuple[Band, ...] = (
     Band("zone", "", "number of the piece of ground that hangs together, 1 the largest; NaN: part of none"),
 )
 """The bands of roughness.tif, in order."""
-
-AXES_DEG = tuple(22.5 * axis for axis in range(8))
-"""Azimuths from grid north that C_r is given along, degrees; a way and its opposite have the same C_r."""
-HEADING_BANDS = tuple(
-    Band(f"c_r_{axis:g}", "rad/m", f"ride cost at azimuth {axis:g} or {axis + 180:g} degrees from grid north")
-    for axis in AXES_DEG
-)
-"""The bands of headings.tif, in order."""
-_HEADINGS = Column("headings", "<f4", (len(AXES_DEG),))

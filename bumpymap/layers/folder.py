@@ -23,7 +23,6 @@ from bumpymap.core import (
     CLASS_NAMES,
     CROSSING_UNKNOWN,
     FREE,
-    HEADING_BANDS,
     NO_CLASS,
     OBJECT_NAMES,
     REASON_TEXT,
@@ -62,7 +61,7 @@ from bumpymap.layers.manifest import (
 )
 from bumpymap.layers.orthophoto import tiles_of_photo
 from bumpymap.layers.placement import Placement, RasterSpec, RasterWindow
-from bumpymap.layers.products import EVERY_FILE, SOME_NAMES, MapFile
+from bumpymap.layers.products import EVERY_FILE, MapFile
 from bumpymap.layers.stac import write_item
 from bumpymap.layers.tile_table import write_tiles
 from bumpymap.layers.vector import GeoJsonCoordinates, dissolve, flatgeobuf_writer, geojson_writer
@@ -177,11 +176,11 @@ def _layers(table: CostTable, coordinates: GeoJsonCoordinates, folder: Path, met
                 write_geojson(regions)
                 write_flatgeobuf(regions)
 
-    some = zip(SOME_NAMES, (table.tiles.has("headings"), shows_photo(table)), strict=True)
+    photo = (MapFile.PHOTO,) if shows_photo(table) else ()
     return {
         **rasters(MapFile.HEIGHTMAP, MapFile.CLASS),
         (MapFile.TILES,): partial(write_tiles, table, folder / MapFile.TILES, tags),
-        **rasters(*(name for name, there in some if there), MapFile.OBSTACLE, MapFile.ROUGHNESS),
+        **rasters(*photo, MapFile.OBSTACLE, MapFile.ROUGHNESS),
         (MapFile.REGIONS, MapFile.REGIONS_IN_CRS): write_regions,
         **rasters(MapFile.PASSAGE, MapFile.REASON, MapFile.RELIEF, MapFile.COST, MapFile.SPEED, MapFile.BARRED),
     }
@@ -393,9 +392,6 @@ def _rasters(table: CostTable) -> dict[MapFile, _Layer]:
             "barred",
             Band("barred", "", "why the tile is not passable", tuple(BARRED_TEXT.values())),
             BARRED_COLOURS,
-        ),
-        MapFile.HEADINGS: _Layer(
-            "ride cost by heading", HEADING_BANDS, ("headings",), lambda found, _: found["headings"].T
         ),
         MapFile.HEIGHTMAP: _Layer(
             "height map",

@@ -19,7 +19,6 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from bumpymap.core import (
-    HEADING_BANDS,
     NO_CLASS,
     NO_TILE,
     OPEN_THROUGH,
@@ -52,8 +51,7 @@ Number = TypeVar("Number", np.uint8, np.float32)
 _BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle", *SEEN_COLUMNS)
 
 _RASTERS = (MapFile.BARRED, MapFile.ROUGHNESS, MapFile.COST, MapFile.HEIGHTMAP, MapFile.OBSTACLE, MapFile.PASSAGE)
-"""Rasters of a route; a comparison of surveys reads the classes too, and a route headings.tif and photo.tif where they
-are there."""
+"""Rasters of a route; a comparison of surveys reads the classes too, and a route photo.tif where it is there."""
 _PER_PIXEL = (MapFile.HEIGHTMAP, MapFile.OBSTACLE, MapFile.PASSAGE, MapFile.PHOTO)
 CHECKED_BYTES = 64 << 20
 """The checksum of a larger raster, which takes a second for 1.4 GB, is compared when it is first read."""
@@ -260,19 +258,6 @@ class MapReader:
                 raise BadInputError(f"{self.folder / MapFile.ROUGHNESS} is damaged: {band}. Map the survey again")
         return out
 
-    @property
-    def has_headings(self) -> bool:
-        """True if the map has C_r by heading."""
-        return MapFile.HEADINGS in _rasters(self.manifest)
-
-    def headings(self, window: TileWindow) -> NDArray[np.float32]:
-        """Read C_r along each of ``AXES_DEG``, rad/m, float32 (rows, cols, 8); NaN where unknown."""
-        out = np.full((window.rows, window.cols, len(HEADING_BANDS)), np.nan, np.float32)
-        self._fill(MapFile.HEADINGS, window, np.moveaxis(out, -1, 0), [band.name for band in HEADING_BANDS])
-        if (out < 0.0).any():
-            raise BadInputError(f"{self.folder / MapFile.HEADINGS} is damaged. {_AGAIN}")
-        return out
-
     def heights(self, window: TileWindow) -> NDArray[np.float32]:
         """Read heights of the ground, m, float32 (rows * pixels, cols * pixels); NaN where there is none."""
         return self.relief(window, self._shape(window))
@@ -457,7 +442,7 @@ def open_map(folder: str | os.PathLike[str]) -> MapReader:
 def _rasters(manifest: Mapping[str, Any]) -> tuple[MapFile, ...]:
     """Return the rasters of a route that a map has."""
     written = {file["path"] for file in manifest["files"]}
-    return (*_RASTERS, *(name for name in (MapFile.HEADINGS, MapFile.PHOTO) if name in written))
+    return (*_RASTERS, MapFile.PHOTO) if MapFile.PHOTO in written else _RASTERS
 
 
 @lru_cache(maxsize=1024)

@@ -77,8 +77,6 @@ class MapFile(StrEnum):
     TILES = "tiles.parquet"
     REGIONS = "cost.geojson"
     REGIONS_IN_CRS = "cost.fgb"
-    HEADINGS = "rasters/headings.tif"
-    """Of a run that was asked for the ride by heading."""
     PHOTO = "rasters/photo.tif"
     """Of a survey whose points have colours."""
     ITEM = "item.json"
@@ -94,9 +92,7 @@ EVERY_NAME: tuple[str, ...] = tuple(
     name for name in MapFile if name not in {MapFile.PROJECT, MapFile.REPORT, MapFile.THUMBNAIL}
 )
 """The files that a run may write, in their order; its manifest lists them with their checksums."""
-SOME_NAMES = (MapFile.HEADINGS, MapFile.PHOTO)
-"""Those that only some runs write: if they are asked for, or if points have colours."""
-PRODUCT_NAMES = tuple(name for name in EVERY_NAME if name not in SOME_NAMES)
+PRODUCT_NAMES = tuple(name for name in EVERY_NAME if name != MapFile.PHOTO)
 """Those that every run writes."""
 EVERY_VIEW_NAME: tuple[str, ...] = (
     *(
@@ -109,8 +105,6 @@ EVERY_VIEW_NAME: tuple[str, ...] = (
     MapFile.THUMBNAIL,
 )
 """Files to look at the others with: styles, a project, a page. GIS programs rewrite them, so they have no checksum."""
-VIEW_NAMES = tuple(name for name in EVERY_VIEW_NAME if Path(name).stem not in {Path(each).stem for each in SOME_NAMES})
-"""Those that every run writes."""
 EVERY_FILE = (*EVERY_NAME, *EVERY_VIEW_NAME)
 """The files that a map may have left in its folder, relative to it."""
 

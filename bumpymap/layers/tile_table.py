@@ -1,7 +1,7 @@
 """tiles.parquet, written and read back: one row for each tile with points."""
 
 import json
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,6 @@ import shapely
 from numpy.typing import NDArray
 
 from bumpymap.core import (
-    AXES_DEG,
     BANDS,
     BARRED_TEXT,
     GROUND_SOURCE,
@@ -47,7 +46,7 @@ def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = 
     BadInputError: the extent is too large for a raster.
     """
     place = Placement.of(table)
-    fields = tile_fields(place.grid.pixels, table.tiles.has)
+    fields = tile_fields(place.grid.pixels, has_source=table.tiles.has(GROUND_SOURCE.name))
     schema = pa.schema(fields, metadata={**(about or {}), "geo": json.dumps(_geo(place))})
     with (
         atomic(path, (pa.ArrowException,)) as temporary,
@@ -69,7 +68,7 @@ def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = 
 def _groups(tiles: TileTable) -> Iterator[dict[str, NDArray[Any]]]:
     """Yield the columns of each row group, which takes as many strips as fit."""
     names = [column.name for column in (*tile_columns(tiles.grid.pixels), GROUND_SOURCE)]
-    names = list(filter(tiles.has, (*names, "headings")))
+    names = list(filter(tiles.has, names))
     held: list[dict[str, NDArray[Any]]] = []
     for strip in tiles.strips(_ROW_GROUP):
         found = tiles.read(names, strip)
@@ -86,10 +85,10 @@ def _join(held: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
     return {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
 
 
-def tile_fields(pixels: int, has: Callable[[str], bool] = lambda _: False) -> list[pa.Field]:
+def tile_fields(pixels: int, *, has_source: bool = False) -> list[pa.Field]:
     """Return the columns of tiles.parquet for tiles of pixels x pixels, with what describes each.
 
-    ``has``: whether there is a column that only some maps have.
+    ``has_source``: whether there is the column ``ground_source``, which only some maps have.
     """
     kinds = {column.name: pa.from_numpy_dtype(column.dtype) for column in tile_columns(pixels)}
     kinds["passable"] = pa.bool_()
@@ -113,7 +112,7 @@ def tile_fields(pixels: int, has: Callable[[str], bool] = lambda _: False) -> li
         described_field("reason", pa.int8(), "why there is no class; 0 where there is one", nullable=False),
         described_field("reason_text", pa.string(), "the reason in words", nullable=False),
         described_field("heights", pa.list_(pa.float32(), pixels**2), "mean z of each pixel, north row first", "m"),
-        *(field for column, field in _ADDED if has(column)),
+        *((_SOURCE,) if has_source else ()),
     ]
 
 
@@ -124,13 +123,7 @@ def described_field(name: str, kind: pa.DataType, text: str, unit: str = "", *, 
 
 
 _PARTS = "0: measured from points of ground classes, 1: from all points, where the survey is not classified"
-_AXIS = "azimuth with the lowest c_r, 0 to 180 from grid north"
-_ADDED = (
-    (GROUND_SOURCE.name, described_field(GROUND_SOURCE.name, pa.int8(), _PARTS, nullable=False)),
-    ("headings", described_field("calm_axis_deg", pa.float32(), _AXIS, "deg")),
-    ("headings", described_field("heading_ratio", pa.float32(), "highest over lowest c_r of eight headings")),
-)
-"""Columns that only some maps have, with the column of tiles that they are made from."""
+_SOURCE = described_field(GROUND_SOURCE.name, pa.int8(), _PARTS, nullable=False)
 
 
 def _geo(place: Placement) -> dict[str, Any]:
@@ -172,11 +165,6 @@ def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema) -
     columns |= {name: found[name] for name in (GROUND_SOURCE.name,) if name in found}
     columns["passable"] = found["passable"] > 0
     columns["zone"] = pa.array(found["zone"], mask=found["zone"] == 0)
-    if "headings" in found:
-        rides = found["headings"]
-        known = np.isfinite(rides).all(axis=1) & (rides.min(axis=1) > 0.0)
-        columns["calm_axis_deg"] = np.where(known, np.array(AXES_DEG)[rides.argmin(axis=1)], np.nan)
-        columns["heading_ratio"] = np.where(known, rides.max(axis=1) / np.where(known, rides.min(axis=1), 1.0), np.nan)
     columns |= {f"p_{texture}": chance[:, number] for number, texture in enumerate(TEXTURES)}
     return pa.table([typed_array(columns[field.name], field) for field in schema], schema=schema)
 

@@ -48,7 +48,6 @@ from .ride.speed import (
     MotionFit as MotionFit,
     MotionModel as MotionModel,
     at_speed as at_speed,
-    felt_by_heading as felt_by_heading,
     map_calibration as map_calibration,
     map_rule as map_rule,
     motion_factors as motion_factors,
@@ -69,7 +68,6 @@ from .ride.thin import (
     log_points as log_points,
     rate_thin as rate_thin,
     ride_terms as ride_terms,
-    ride_weight as ride_weight,
     spread_terms as spread_terms,
     thin_columns as thin_columns,
 )

@@ -16,14 +16,12 @@ from bumpymap.core import (
     Barred,
     Floats,
     TileField,
-    by_mean,
     corners_join,
 )
 from bumpymap.layers import STEP_LINE, MapReader, tiles_in
 from bumpymap.route.places import in_window, on_grid
 from bumpymap.route.search import (
     BYTES_PER_TILE,
-    BYTES_PER_TILE_BY_HEADING,
     BYTES_PER_TILE_BY_SLOPE,
     Costs,
     as_cost,
@@ -94,24 +92,14 @@ class CostGround:
         return ("c_r_high" if self.settings.robust else "c_r", "p_fail", *obstacle, *seen)
 
     @property
-    def knows_headings(self) -> bool:
-        """True if the cost of a metre depends on its heading."""
-        return self.settings.direction and self.settings.by == "cost" and self.site.has_headings
-
-    @property
     def bytes_per_tile(self) -> int:
         """Memory that a search takes."""
-        by_slope = BYTES_PER_TILE_BY_SLOPE if self.settings.knows_slope else 0
-        return by_slope + (BYTES_PER_TILE_BY_HEADING if self.knows_headings else BYTES_PER_TILE)
+        return BYTES_PER_TILE + (BYTES_PER_TILE_BY_SLOPE if self.settings.knows_slope else 0)
 
     @property
     def memory_bytes(self) -> int:
         """Memory that a search may use."""
         return self.memory_tiles * self.bytes_per_tile
-
-    def headings(self, window: TileWindow) -> NDArray[np.float32] | None:
-        """Return C_r along each axis, (rows, cols, 8) rad/m; None if the cost does not depend on it."""
-        return self.site.headings(window) if self.knows_headings else None
 
     def with_slope(
         self, cost: NDArray[np.float32], window: TileWindow, *, barred: bool = True
@@ -129,20 +117,14 @@ class CostGround:
         steepest = settings.steepest if barred else math.inf
         return Costs(as_cost(cost), gradient, settings.climb, settings.descent, settings.side_slope, steepest)
 
-    def on_tiles(
-        self, window: TileWindow, *, through: bool = True, by_heading: bool = False
-    ) -> NDArray[np.float32]:  # fmt: skip
+    def on_tiles(self, window: TileWindow, *, through: bool = True) -> NDArray[np.float32]:
         """Return the cost per metre of each tile, (rows, cols), infinite where closed.
 
-        Unless ``through``, tiles are closed that obstacles close for what reads tiles alone. ``by_heading``: if it is
-        known, along each axis, (rows, cols, 8).
+        Unless ``through``, tiles are closed that obstacles close for what reads tiles alone.
         """
-        headings = self.headings(window) if by_heading else None
-        return self.of_field(self.site.read(window, self.bands), headings, through=through)
+        return self.of_field(self.site.read(window, self.bands), through=through)
 
-    def of_field(
-        self, tiles: TileField, headings: NDArray[np.float32] | None = None, *, through: bool = True
-    ) -> NDArray[np.float32]:
+    def of_field(self, tiles: TileField, *, through: bool = True) -> NDArray[np.float32]:
         """Return the same for tiles that have been read: ``1 + ride_weight c_r + risk hazard``, or that by time.
 
         Closed are tiles that are not passable, by their ground or, unless ``through``, by what obstacles leave of them,
@@ -151,23 +133,19 @@ class CostGround:
         even then, those in which an obstacle was seen. Tiles without points are closed in any case: around a survey
         there are as many of them as its bounding rectangle happens to hold, and inside it they are mostly water and
         shade, of which nothing at all is known. An unknown hazard counts as 0; a robust plan takes the upper end of the
-        interval of c_r. With ``headings``, C_r along each axis, (rows, cols, 8), c_r and the ends of its interval are
-        in proportion to it.
+        interval of c_r.
         """
         rule, settings = tiles.rule, self.settings
         weighed = replace(rule, fail_weight=self.risk_m)
         of_metre = weighed.cost if settings.by == "cost" else weighed.time_cost
         shaking = tiles.c_r_high if settings.robust else tiles.c_r
-        cost = np.empty((*tiles.barred.shape, 1 if headings is None else headings.shape[2]), np.float32)
+        cost = np.empty(tiles.barred.shape, np.float32)
         for start in range(0, len(cost), _STRIP):
             rows = slice(start, start + _STRIP)
             barred = tiles.barred[rows]
-            c_r = shaking[rows, :, None].astype(np.float64)
-            if headings is not None:
-                c_r = c_r * by_mean(headings[rows], tiles.c_r[rows])
-            factor = of_metre(c_r, weighed.hazard(tiles.p_fail[rows])[..., None])
+            factor = of_metre(shaking[rows].astype(np.float64), weighed.hazard(tiles.p_fail[rows]))
             is_open = np.isin(barred, OPEN_THROUGH) if through or self.touching else barred == Barred.NO
-            cost[rows] = np.where(is_open[..., None] & np.isfinite(factor), factor, np.inf)
+            cost[rows] = np.where(is_open & np.isfinite(factor), factor, np.inf)
             if settings.unknown is not None:
                 cost[rows][np.isin(barred, CROSSING_UNKNOWN) & ~(tiles.obstacle[rows] > 0.0)] = settings.unknown
         if settings.seen_width is not None:
@@ -178,21 +156,18 @@ class CostGround:
             cost[~tiles_in(self.only, tiles.window, tiles.grid, wholly=True)] = np.inf
         if self.touching and not through:
             cost[np.isin(tiles.barred, CLOSED_IN_PART)] *= TOUCHING
-        return cost[..., 0] if headings is None else cost
+        return cost
 
     def slowness(self, tiles: TileField) -> Floats:
         """Return the time of a metre, (rows, cols) s/m: that of the cost at the top speed on unknown ground; or NaN."""
         slow, unknown = tiles.rule.slowness(tiles.c_r), (self.settings.unknown or math.nan) / tiles.rule.top_mps
         return np.where(np.isin(tiles.barred, CROSSING_UNKNOWN), unknown, slow)
 
-    def on_pixels(self, window: TileWindow, *, by_heading: bool = False) -> NDArray[np.float32]:
-        """Return the cost per metre on each pixel, (rows * pixels, cols * pixels); inf where the vehicle cannot be.
-
-        ``by_heading`` as in `on_tiles`.
-        """
-        cost, pixels = self.on_tiles(window, by_heading=by_heading), self.site.grid.pixels
-        out = np.repeat(np.repeat(cost, pixels, 0), pixels, 1)
-        free = self._free(window, np.isinf(_along_one(out)))
+    def on_pixels(self, window: TileWindow) -> NDArray[np.float32]:
+        """Return the cost per metre on each pixel, (rows * pixels, cols * pixels); inf where the vehicle cannot be."""
+        pixels = self.site.grid.pixels
+        out = np.repeat(np.repeat(self.on_tiles(window), pixels, 0), pixels, 1)
+        free = self._free(window, np.isinf(out))
         if self.touching:
             out[~free] *= np.float32(TOUCHING)
         else:
@@ -203,8 +178,7 @@ class CostGround:
         """Make pixels near closed ones dearer, so that a way keeps away from them where it can."""
         reach = self._room_pixels
         factor = 1 + np.float32(_NARROW) * np.linspace(1, 0, reach + 1, dtype=np.float32)
-        dearer = factor[np.maximum(_steps_to_closed(_along_one(cost), reach + 1) - 1, 0)]
-        return np.asarray(cost * (dearer if cost.ndim == 2 else dearer[..., None]))
+        return np.asarray(cost * factor[np.maximum(_steps_to_closed(cost, reach + 1) - 1, 0)])
 
     @property
     def _room_pixels(self) -> int:
@@ -257,7 +231,6 @@ class CostGround:
         self, window: TileWindow, cost: NDArray[np.float32], line: Floats, *, with_room: bool = False
     ) -> bool:
         """Say the same of a line in a window with the ``cost`` of its pixels; with room, whether some is to spare."""
-        cost = _along_one(cost)
         if with_room:
             is_near = _steps_to_closed(cost, self._room_pixels + 1) <= self._room_pixels
             cost = np.where(is_near, np.float32(np.inf), cost)
@@ -289,11 +262,6 @@ class CostGround:
         turn = np.abs((np.diff(heading) + np.pi) % (2.0 * np.pi) - np.pi)
         tight = ~self.clear_at(line[1:-1], _TIGHT_M / self.site.grid.pixel_size)
         return float(np.degrees(turn[tight].sum()))
-
-
-def _along_one(cost: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return costs along one axis, (rows, cols): what is closed is closed along all."""
-    return cost if cost.ndim == 2 else cost[..., 0]
 
 
 def _steps_to_closed(cost: NDArray[np.float32], limit: int) -> NDArray[np.int32]:

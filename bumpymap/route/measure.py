@@ -23,8 +23,6 @@ from bumpymap.core import (
     StraightLine,
     TracedLine,
     Turn,
-    axis_values,
-    by_mean,
     slope_cost,
 )
 from bumpymap.layers import MapReader
@@ -55,8 +53,8 @@ class MeasuredWay:
 _Pieces: TypeAlias = dict[str, NDArray[Any]]
 """The pieces of a way inside single tiles, (n,) each: ``col`` and ``row`` on the grid, ``length`` m, ``cost`` and
 ``hazard`` per metre (0 if unknown), ``slow`` s/m, ``barred``, ``unknown``, ``c_r``, ``c_r_low``, ``c_r_high``,
-``p_fail`` and what would have shown (NaN if unknown); cost and ride are those of the heading, if it is known. And of
-the cost what slopes add, ``slope``, and ``across``: whether it lies across a slope that is steeper than the limit."""
+``p_fail`` and what would have shown (NaN if unknown). And of the cost what slopes add, ``slope``, and ``across``:
+whether it lies across a slope that is steeper than the limit."""
 
 
 def measure_way(ground: CostGround, line: Floats, stops: Floats) -> MeasuredWay:
@@ -108,8 +106,7 @@ def cut_into_tiles(ground: CostGround, line: Floats) -> _Pieces:
 def _pieces(ground: CostGround, line: Floats) -> _Pieces:
     window = window_around(ground.site, line, 1)
     tiles = ground.site.read(window)
-    headings = ground.headings(window)
-    cost = as_costs(ground.with_slope(ground.of_field(tiles, headings), window, barred=False))
+    cost = as_costs(ground.with_slope(ground.of_field(tiles), window, barred=False))
     place = in_window(line, tiles.grid, window)
     found, step = trace(cost, place), np.diff(place, axis=0)
     if not len(found.length):  # a way of no length lies in one tile
@@ -117,10 +114,6 @@ def _pieces(ground: CostGround, line: Floats) -> _Pieces:
         found, step = TracedLine(row, col, np.zeros(1), np.zeros(1, np.int64)), np.zeros((1, 2))
     at, way = (found.row, found.col), step[found.part].T
     unknown = np.isin(tiles.barred[at], CROSSING_UNKNOWN)
-    ride = {name: getattr(tiles, name)[at] for name in _RIDE}
-    if headings is not None:
-        ratio = axis_values(by_mean(headings[at], tiles.c_r[at]), *way)
-        ride = {name: values * ratio for name, values in ride.items()}
     gradient = cost.gradient[at] if cost.gradient.size else np.zeros((len(found.row), 2))
     slope, across = slope_cost(ground.settings, gradient, *way)
     hazard, slow = tiles.rule.hazard(tiles.p_fail[at]), ground.slowness(tiles)[at]
@@ -128,7 +121,7 @@ def _pieces(ground: CostGround, line: Floats) -> _Pieces:
         "col": window.col + found.col,
         "row": window.row + window.rows - 1 - found.row,
         "length": found.length * tiles.grid.tile_size,
-        "cost": axis_values(cost.tiles[at], *way) + slope,
+        "cost": cost.tiles[at] + slope,
         "slope": slope,
         "across": across,
         "barred": tiles.barred[at],
@@ -136,7 +129,7 @@ def _pieces(ground: CostGround, line: Floats) -> _Pieces:
         "unknown": unknown,
         "slow": slow,
         **{name: getattr(tiles, name)[at] for name in SEEN_COLUMNS},
-        **{name: np.where(unknown, np.nan, values) for name, values in (ride | {"p_fail": tiles.p_fail[at]}).items()},
+        **{name: np.where(unknown, np.nan, getattr(tiles, name)[at]) for name in (*_RIDE, "p_fail")},
     }
 
 

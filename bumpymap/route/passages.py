@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
-from bumpymap.core import Floats, axis_values, slope_cost
+from bumpymap.core import Floats, slope_cost
 from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.places import on_grid, overlap
-from bumpymap.route.search import as_cost
 from bumpytiles import TileWindow
 
 _PAD_TILES, _PAD_SHARE = 24, 0.25
@@ -34,8 +33,8 @@ _CHEAPER, _CORNER_TILES = 0.97, 2.0
 """Paths go straight from middle to middle of areas up to three arcs apart, and so cut corners. One takes the place of a
 way over whole tiles only if it costs less than this share of it, with that length added for a corner, tiles
 (chosen)."""
-BYTES_PER_TILE, _BY_HEADING = 7000, 4
-"""Memory that the graph takes, and its multiple for searches on pixels whose cost depends on the heading."""
+BYTES_PER_TILE = 7000
+"""Memory that the graph takes."""
 
 
 class AreaGraph(NamedTuple):
@@ -66,8 +65,7 @@ def way_over_areas(ground: CostGround, start: Floats, goal: Floats) -> Floats | 
     pad = first_pad(ground, start, goal)
     while True:
         window = overlap(window_around(ground.site, ends, pad), ground.site.window)
-        bytes_per_tile = BYTES_PER_TILE * (_BY_HEADING if ground.knows_headings else 1)
-        if window.rows * window.cols * bytes_per_tile > ground.memory_bytes:
+        if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:
             return None
         graph = _graph(ground, window)
         found = _search(graph, *(_node_at(ground, graph, window, end) for end in ends))
@@ -119,9 +117,9 @@ def _graph(ground: CostGround, window: TileWindow) -> AreaGraph:
     a, b = joined.coords
     kept = a != b
     a, b = a[kept], b[kept]
-    cost, middle = as_cost(ground.on_tiles(window, by_heading=True)), np.column_stack(at)
-    cost, step = cost.reshape(rows * cols, -1)[tile], (middle[b] - middle[a]).T
-    each = axis_values(cost[a], *step) + axis_values(cost[b], *step)
+    middle = np.column_stack(at)
+    cost, step = ground.on_tiles(window).ravel()[tile].astype(np.float64), (middle[b] - middle[a]).T
+    each = cost[a] + cost[b]
     if ground.settings.knows_slope:
         gradient = ground.site.gradient(window).reshape(-1, 2)[tile]
         for end in (a, b):
@@ -197,7 +195,7 @@ def _on_pixels(
             part = TileWindow.around(window.col + cols, window.row + window.rows - 1 - rows)
         else:
             part = overlap(window_around(ground.site, np.array(ends), _AROUND_TILES), window)
-        cost = ground.with_room(ground.on_pixels(part, by_heading=True))
+        cost = ground.with_room(ground.on_pixels(part))
         top, left = window.row + window.rows - part.row - part.rows, part.col - window.col
         kept = corridor[top : top + part.rows, left : left + part.cols]
         pixels = ground.site.grid.pixels
@@ -220,12 +218,11 @@ def _over_corners(ground: CostGround, cost: NDArray[np.float32], ends: Floats, w
     from skimage.graph import route_through_array  # slow to load, and seldom needed
 
     places = np.floor(ground.in_window(ends, window)).astype(np.int64)
-    per_pixel = as_cost(cost).mean(axis=2)
-    is_free = np.isfinite(per_pixel)
+    is_free = np.isfinite(cost)
     if (places < 0).any() or (places >= is_free.shape).any() or not is_free[tuple(places.T)].all():
         return None
     try:
-        pixels = np.array(route_through_array(per_pixel, *places.tolist())[0])
+        pixels = np.array(route_through_array(cost, *places.tolist())[0])
     except ValueError:  # there is no path
         return None
     piece = ndimage.label(is_free)[0][tuple(pixels.T)]

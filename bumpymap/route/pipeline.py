@@ -84,7 +84,6 @@ class RouteSettings(TypedDict, total=False):
     by: RouteBy
     risk: float | None
     robust: bool
-    direction: bool
     climb: float
     descent: float
     side_slope: float
@@ -126,7 +125,7 @@ def find_routes(
         Folder, or file that ends in .geojson, .gpx or .csv.
     **settings
         Those of ``bumpymap route``, with underscores: ``by`` (``cost`` or ``time``), ``risk`` [m],
-        ``robust``, ``direction``, ``climb``, ``descent``, ``side_slope`` [m], ``side_limit`` [deg], ``unknown`` [cost
+        ``robust``, ``climb``, ``descent``, ``side_slope`` [m], ``side_limit`` [deg], ``unknown`` [cost
         per metre], ``seen_width`` [m], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``,
         ``allow_outside``, ``calibration``, ``through_obstacles``, ``memory``, ``overwrite``.
 

@@ -55,7 +55,7 @@ def tile_line(ground: CostGround, start: Floats, goal: Floats) -> Floats | None:
         window = _grown(window, sides, pad, extent, ground)
         top, left = extent.row + extent.rows - window.row - window.rows, window.col - extent.col
         here, there = ((row - top, col - left) for row, col in (first, last))
-        cost = ground.on_tiles(window, through=False, by_heading=True)
+        cost = ground.on_tiles(window, through=False)
         found = seek(ground.with_slope(cost, window), here, there, ground.margin, math.inf if window == extent else 1.0)
         sides, pad = _open_sides(found, window, extent), max(_LEAST_PAD, int(_GROWTH * max(window.rows, window.cols)))
     if found.line is None:
@@ -133,7 +133,7 @@ def steer_clear(ground: CostGround, line: Floats) -> Floats | None:
 def _steered(ground: CostGround, section: Floats) -> Floats | None:
     """Return a section of a line, (n, 2), if it has room on all sides, or the cheapest way near it; None if none is."""
     window = window_around(ground.site, section, _AROUND_TILES)
-    cost = ground.on_pixels(window, by_heading=True)
+    cost = ground.on_pixels(window)
     if ground.is_clear_in(window, cost, section, with_room=True):
         return section
     steered = ground.way_on_pixels(ground.with_room(cost), section[[0, -1]], window)

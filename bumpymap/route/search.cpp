@@ -18,11 +18,9 @@ namespace {
 // ---- Straight lines over square tiles: their cost, their distance to closed tiles ----
 //
 // Field coordinates (r, c) of a window are in tiles: r from its north edge southwards, c from its west edge eastwards.
-// A tile is closed where its cost is infinite; everything outside the window is closed. Costs are (rows, cols, axes):
-// of one axis, alike in all directions, or along the eight of AXES_DEG. Between two axes cost is linear in the slope of
-// the segment against the rows or columns, whichever it is nearer to: unlike angles, that gives a turned or mirrored
-// map the same bits. What climbing, descending and driving across a slope cost is added for the very direction of the
-// segment; the cost of a direction that is too steep across is infinite.
+// A tile is closed where its cost is infinite; everything outside the window is closed. What climbing, descending and
+// driving across a slope cost is added for the very direction of the segment; the cost of a direction that is too steep
+// across is infinite.
 
 constexpr double infinite = std::numeric_limits<double>::infinity();
 // Pieces below this length, tiles, are rounding errors of a line through a corner of four tiles.
@@ -33,11 +31,9 @@ constexpr double rounding = 1e-9;
 constexpr int a_end = 1;
 constexpr int b_end = 2;
 
-// A direction: the two axes that it lies between, the share of the second in the cost; southwards and eastwards in a
-// length of 1.
+// A direction: southwards and eastwards in a length of 1; 0 if there is none.
 struct Heading {
-    Index first = 0, second = 0;
-    double share = 0.0, down = 0.0, right = 0.0;
+    double down, right;
 };
 
 struct Point {
@@ -45,45 +41,29 @@ struct Point {
 };
 
 struct Costs {
-    Array<const float, 3> tiles, gradient;
+    Array<const float, 2> tiles;
+    Array<const float, 3> gradient;
     double climb, descent, side, steepest;
 
-    // The share of a gradient southwards and eastwards in the cost, in a direction of length 1; infinite if it is
-    // barred.
-    double of_slope(double south, double east, double down, double right) const {
+    // The share of a gradient southwards and eastwards in the cost, in a direction; infinite if it is barred.
+    double of_slope(double south, double east, const Heading& heading) const {
+        const auto [down, right] = heading;
         const double rise = south * down + east * right, across = std::abs(south * right - east * down);
         if (across > steepest) return infinite;
         return (rise > 0.0 ? climb * rise : -descent * rise) + side * across;
-    }
-
-    Heading heading(double dr, double dc, double length) const {
-        constexpr double tangent = 0.41421356237309515;  // of 22.5 degrees: TAN in core/route_types.py
-        const double south = length > 0.0 ? dr / length : 0.0, east = length > 0.0 ? dc / length : 0.0;
-        if (tiles.shape[2] == 1) return {0, 0, 0.0, south, east};
-        const double down = std::abs(dr), right = std::abs(dc), more = std::max(down, right);
-        const bool north_east = dr * dc < 0.0;
-        const double t = more > 0.0 ? std::min(down, right) / more : 0.0;
-        const Index straight = down >= right ? 0 : 4, diagonal = north_east ? 2 : 6;
-        const Index between = down >= right ? (north_east ? 1 : 7) : (north_east ? 3 : 5);
-        if (t <= tangent) return {straight, between, t / tangent, south, east};
-        return {between, diagonal, (t - tangent) / (1.0 - tangent), south, east};
     }
 
     bool inside(Index row, Index col) const {
         return row >= 0 && col >= 0 && row < tiles.shape[0] && col < tiles.shape[1];
     }
 
-    bool open(Index row, Index col) const { return inside(row, col) && tiles(row, col, 0) < infinite; }
+    bool open(Index row, Index col) const { return inside(row, col) && tiles(row, col) < infinite; }
 
     // The cost of a tile in a direction; infinite outside the window.
     double of(const Heading& heading, Index row, Index col) const {
         if (!inside(row, col)) return infinite;
-        double total = tiles(row, col, heading.first);
-        if (heading.share != 0.0 && total < infinite)
-            total += heading.share * (tiles(row, col, heading.second) - total);
-        if (gradient.shape[0] > 0)
-            total += of_slope(gradient(row, col, 0), gradient(row, col, 1), heading.down, heading.right);
-        return total;
+        const double total = tiles(row, col);
+        return gradient.shape[0] > 0 ? total + of_slope(gradient(row, col, 0), gradient(row, col, 1), heading) : total;
     }
 
     // Rows and columns back to the tile that counts where a line runs on the border of two: the dearer one. `r` is the
@@ -96,6 +76,11 @@ struct Costs {
     }
 };
 
+// The direction of a step of that length.
+Heading heading_of(double dr, double dc, double length) {
+    return length > 0.0 ? Heading{dr / length, dc / length} : Heading{0.0, 0.0};
+}
+
 // The row or column that a line keeps, NaN where it does not.
 Point kept_by(Point a, double dr, double dc) {
     constexpr double none = std::numeric_limits<double>::quiet_NaN();
@@ -106,7 +91,7 @@ Point kept_by(Point a, double dr, double dc) {
 // border, the dearer of both tiles counts.
 double segment_cost(const Costs& cost, Point a, Point b, double limit) {
     const double dr = b.r - a.r, dc = b.c - a.c, length = std::sqrt(dr * dr + dc * dc);
-    const Heading heading = cost.heading(dr, dc, length);
+    const Heading heading = heading_of(dr, dc, length);
     double north = std::floor(a.r), west = std::floor(a.c);
     if (dr < 0.0 && north == a.r) north -= 1.0;
     if (dc < 0.0 && west == a.c) west -= 1.0;
@@ -268,7 +253,7 @@ Index trace_line(Costs cost, Array<const double, 2> points, TracedLine out) {
     for (Index i = 0; i + 1 < points.shape[0]; ++i) {
         const Point a = point_at(points, i), b = point_at(points, i + 1);
         const double dr = b.r - a.r, dc = b.c - a.c, length = std::sqrt(dr * dr + dc * dc);
-        const Heading heading = cost.heading(dr, dc, length);
+        const Heading heading = heading_of(dr, dc, length);
         Index row = first_tile(a.r, dr), col = first_tile(a.c, dc);
         for (double t = 0.0; t < 1.0;) {
             const double next_r = crossing(a.r, dr, row), next_c = crossing(a.c, dc, col);
@@ -457,8 +442,6 @@ struct MoveTables {
     Array<const double> length, end;
     Array<const Index> first_piece, piece;
     Array<const double> piece_length;
-    Array<const Index, 2> axis;
-    Array<const double> share;
     Array<const double, 2> direction;
     Array<const Index> near_north, near_south;
 };
@@ -511,15 +494,10 @@ struct Search {
 
     // The cost of an open tile in the direction of a move.
     double cost_of(Index k, Index tile) const {
-        const float* const own = ground.cost.tiles.data + tile * ground.cost.tiles.shape[2];
-        double total = own[moves.axis(k, 0)];
-        const double share = moves.share[k];
-        if (share != 0.0) total += share * (own[moves.axis(k, 1)] - total);
-        if (ground.cost.gradient.shape[0] > 0) {
-            const float* const slope = ground.cost.gradient.data + 2 * tile;
-            total += ground.cost.of_slope(slope[0], slope[1], moves.direction(k, 0), moves.direction(k, 1));
-        }
-        return total;
+        const double total = ground.cost.tiles.data[tile];
+        if (ground.cost.gradient.shape[0] == 0) return total;
+        const float* const slope = ground.cost.gradient.data + 2 * tile;
+        return total + ground.cost.of_slope(slope[0], slope[1], {moves.direction(k, 0), moves.direction(k, 1)});
     }
 
     // The exact integral of the cost along a move; infinite if it cannot be below the limit.
@@ -619,9 +597,7 @@ void find_near(Array<const double, 2> points, double margin, Array<bool, 3> out)
 
 BUMPY_RECORD(bumpy::Costs, tiles, gradient, climb, descent, side, steepest)
 BUMPY_RECORD(bumpy::TracedLine, row, col, length, part)
-BUMPY_RECORD(
-    bumpy::MoveTables, step, length, end, first_piece, piece, piece_length, axis, share, direction, near_north,
-    near_south)
+BUMPY_RECORD(bumpy::MoveTables, step, length, end, first_piece, piece, piece_length, direction, near_north, near_south)
 BUMPY_RECORD(bumpy::Ground, cost, closed, start, goal_row, goal_col, least, bound)
 
 BUMPY_LOOPS(

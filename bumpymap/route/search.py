@@ -27,10 +27,10 @@ southwards more than eastwards, and never northwards or westwards. (Ends in one 
 two such frames, mirror images of each other: there, ways by moves still cost the same on a mirrored map, and pulled
 ways nearly so.)
 
-Each move costs what the ground does in its own direction, if costs are known by heading, and what slopes add. There and
-back cost the same to the last bit, unless climbing costs other than descending, and so do ways on turned maps, as a
-rule; see `SearchFrame`. Moves decide on which side of closed tiles a way passes; where both sides cost nearly the same,
-the way may be the dearer by a percent or two.
+Each move costs what the ground does, and what slopes add in its direction. There and back cost the same to the last
+bit, unless climbing costs other than descending, and so do ways on turned maps, as a rule; see `SearchFrame`. Moves
+decide on which side of closed tiles a way passes; where both sides cost nearly the same, the way may be the dearer by a
+percent or two.
 """
 
 import math
@@ -42,14 +42,14 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import AXES_DEG, Floats, TracedLine, axes_along, loops
+from bumpymap.core import Floats, TracedLine, loops
 
 
 class Costs(NamedTuple):
     """Costs of the ground of a window."""
 
     tiles: NDArray[np.float32]
-    """(rows, cols, axes) cost per tile of length, at least 1; infinite where closed."""
+    """(rows, cols) cost per tile of length, at least 1; infinite where closed."""
     gradient: NDArray[np.float32]
     """(rows, cols, 2) rise per length southwards and eastwards; (0, 0, 2) if slopes cost nothing."""
     climb: float
@@ -71,10 +71,9 @@ _WIDER = 1.05
 
 
 def as_cost(cost: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return costs as loops take them, (rows, cols, axes); raises ValueError unless they are that or (rows, cols)."""
-    cost = cost[..., None] if cost.ndim == 2 else cost
-    if cost.ndim != 3 or cost.shape[2] not in (1, len(AXES_DEG)):
-        raise ValueError(f"cost has the shape {cost.shape}; it must be rows and columns, and perhaps 8 axes")
+    """Return costs as loops take them; raises ValueError unless they are (rows, cols)."""
+    if cost.ndim != 2:
+        raise ValueError(f"cost has the shape {cost.shape}; it must be rows and columns")
     return np.ascontiguousarray(cost, np.float32)
 
 
@@ -114,7 +113,7 @@ def trace(cost: NDArray[np.floating] | Costs, line: NDArray[np.floating]) -> Tra
     line leaves the window.
     """
     costs, points = as_costs(cost), _as_line(line)
-    rows, cols = costs.tiles.shape[:2]
+    rows, cols = costs.tiles.shape
     if line.size and ((line < 0.0) | (line > np.array([rows, cols]))).any():
         raise ValueError(f"the line leaves the window of {rows} x {cols} tiles")
     room = int(np.abs(np.diff(np.floor(points), axis=0)).sum()) + 3 * len(line)
@@ -253,10 +252,6 @@ class MoveTables(NamedTuple):
     """From the tile where the move starts to one that it crosses."""
     piece_length: Floats
     """Length in that tile, tiles."""
-    axis: Integers
-    """(k, 2) the axes that it lies between."""
-    share: Floats
-    """(k,) how far it is from the first of them to the second."""
     direction: Floats
     """(k, 2) southwards and eastwards in a length of 1."""
     near_north: Integers
@@ -299,8 +294,6 @@ def traced_moves(margin: float) -> tuple[MoveTables, NDArray[np.int64]]:
         first_piece=np.cumsum([0, *(len(each.length) - 2 for each in traced)]),
         piece=np.empty(0, np.int64),
         piece_length=np.concatenate([each.length[1:-1] for each in traced]),
-        axis=np.empty((0, 2), np.int64),
-        share=np.empty(0),
         direction=MOVES / np.sqrt((MOVES.astype(np.float64) ** 2).sum(axis=1))[:, None],
         near_north=near[:, REACH::-1].reshape(len(near), -1) @ bits,
         near_south=near[:, :REACH:-1].reshape(len(near), -1) @ bits[: -len(open_ground)],
@@ -308,16 +301,15 @@ def traced_moves(margin: float) -> tuple[MoveTables, NDArray[np.int64]]:
     return tables, np.concatenate([np.column_stack([each.row, each.col])[1:-1] for each in traced]) - REACH
 
 
-def move_tables(width: int, margin: float, axes: int = 1) -> MoveTables:
+def move_tables(width: int, margin: float) -> MoveTables:
     """Make the tables of the moves for a window.
 
     ``width``: columns of the window, flattened row by row; ``margin``: distance that a way keeps from closed tiles,
-    tiles; ``axes``: those of its costs.
+    tiles.
     """
     tables, tiles = traced_moves(margin)
-    flat, (first, second, share) = np.array([width, 1]), axes_along(axes, *MOVES.T)
-    axis = np.column_stack([first, second])
-    return tables._replace(step=MOVES @ flat, piece=tiles @ flat, axis=axis, share=share)
+    flat = np.array([width, 1])
+    return tables._replace(step=MOVES @ flat, piece=tiles @ flat)
 
 
 Point = tuple[float, float]
@@ -364,14 +356,11 @@ class SearchFrame(NamedTuple):
         return turned.swapaxes(0, 1) if self.transpose else turned
 
     def turn_costs(self, cost: Costs) -> Costs:
-        """Turn costs: what was along one axis is along another then, and what was uphill from the goal is downhill."""
-        turned, each = self.turn(cost.tiles), np.arange(cost.tiles.shape[2])
-        for is_turned, axis in ((self.flips[0] != self.flips[1], -each), (self.transpose, len(AXES_DEG) // 2 - each)):
-            turned = turned[..., axis % len(each)] if is_turned and len(each) > 1 else turned
+        """Turn costs: what was uphill from the goal is downhill then."""
         signs = np.where(self.flips, np.float32(-1.0), np.float32(1.0))
         gradient = (self.turn(cost.gradient) * signs)[..., :: -1 if self.transpose else 1]
         cost = cost._replace(climb=cost.descent, descent=cost.climb) if self.back else cost
-        return cost._replace(tiles=turned, gradient=gradient)
+        return cost._replace(tiles=self.turn(cost.tiles), gradient=gradient)
 
     def turn_back(self, values: NDArray[Number]) -> NDArray[Number]:
         """Undo `turn`; a view."""
@@ -393,13 +382,13 @@ def _rank(cost: NDArray[np.float32], point: Point) -> tuple[float, ...]:
     """Return what tells two ends apart: the same on turned maps, but for the last two numbers."""
     row, col = math.floor(point[0]), math.floor(point[1])
     r, c = abs(point[0] - row - 0.5), abs(point[1] - col - 0.5)
-    return float(np.sort(cost[row, col]).sum()), max(r, c), min(r, c), *point
+    return float(cost[row, col]), max(r, c), min(r, c), *point
 
 
-BYTES_PER_TILE, BYTES_PER_TILE_BY_HEADING, BYTES_PER_TILE_BY_SLOPE = 36, 124, 24
-"""Memory that a search takes at most: the costs that it is given, with and without the ring, and the arrays below; the
-same where costs have axes, with those turned; and what is added where slopes cost. The queue of tiles, in which one may
-stand several times, took up to 8 of the 36 (random ground of 1,200 x 1,200 tiles)."""
+BYTES_PER_TILE, BYTES_PER_TILE_BY_SLOPE = 36, 24
+"""Memory that a search takes at most: the costs that it is given, with and without the ring, and the arrays below; and
+what is added where slopes cost. The queue of tiles, in which one may stand several times, took up to 8 of the 36
+(random ground of 1,200 x 1,200 tiles)."""
 MOST_TILES = 2_000_000_000
 """Tiles of a window, which the search numbers with 32 bits; the ring takes the rest."""
 
@@ -429,7 +418,7 @@ def _search(
     rows, width = tiles.shape[0] + 2 * REACH, tiles.shape[1] + 2 * REACH
     margin, count = wide_margin(margin), rows * width
     ringed = cost._replace(
-        tiles=np.full((rows, width, tiles.shape[2]), np.inf, np.float32),
+        tiles=np.full((rows, width), np.inf, np.float32),
         gradient=np.zeros((rows, width, 2) if has_slope else (0, 0, 2), np.float32),
         steepest=_NEARLY * cost.steepest,
     )
@@ -452,13 +441,12 @@ def _search(
         is_straight = is_clear(ringed, straight, margin)
         known = line_cost(ringed, straight) if is_straight else math.inf
         leave = connected(goal, from_it=False)
-    closed = np.append(np.packbits(~(ringed.tiles[..., 0] < math.inf), bitorder="little"), np.uint8(0))
+    closed = np.append(np.packbits(~(ringed.tiles < math.inf), bitorder="little"), np.uint8(0))
     end = (0.0, 0.0) if goal is None else (goal[0] + REACH, goal[1] + REACH)
     first = (math.floor(start[0]) + REACH) * width + math.floor(start[1]) + REACH
     ground = Ground(ringed, closed, first, *end, least, min(least if least < math.inf else 1.0, bound))
     reached = np.full(count, math.inf), np.full(count, NOT_REACHED, np.uint8), np.zeros(count, np.bool_)
-    moves = move_tables(width, margin, tiles.shape[2])
-    found = loops.search_ways(ground, moves, enter, leave, known, *reached)
+    found = loops.search_ways(ground, move_tables(width, margin), enter, leave, known, *reached)
     return reached, found, lambda values: values.reshape(rows, width)[inner]
 
 
@@ -488,11 +476,11 @@ def find_way(
 ) -> Floats | None:
     """Find the cheapest way; None if there is none, or start or goal lie in a closed tile or outside the window.
 
-    ``cost`` (rows, cols) or (rows, cols, 8): per length, along each of ``AXES_DEG`` if it has them, at least 1;
-    infinite where closed; or with what slopes add; ``start``, ``goal``: field coordinates; ``margin``: distance to
-    closed tiles that the way keeps, at least 0 and below 0.5 tiles; ``least_saving``: corners that save less are left
-    out, tiles. Returns (n, 2): field coordinates of its corners, from within 1e-9 tiles of the start to the same of the
-    goal. Raises ValueError: a cost below 1 or NaN, a margin or coordinates out of range.
+    ``cost`` (rows, cols): per length, at least 1; infinite where closed; or with what slopes add; ``start``, ``goal``:
+    field coordinates; ``margin``: distance to closed tiles that the way keeps, at least 0 and below 0.5 tiles;
+    ``least_saving``: corners that save less are left out, tiles. Returns (n, 2): field coordinates of its corners, from
+    within 1e-9 tiles of the start to the same of the goal. Raises ValueError: a cost below 1 or NaN, a margin or
+    coordinates out of range.
     """
     found = seek(cost, start, goal, margin)
     return None if found.line is None else tight_way(found, margin, least_saving)
@@ -515,11 +503,11 @@ def _cut_out(cost: Costs, line: Floats) -> tuple[Costs, NDArray[np.int64]]:
     """
     low = np.floor(line.min(axis=0)).astype(np.int64) - _AROUND
     high = np.floor(line.max(axis=0)).astype(np.int64) + _AROUND + 1
-    first, last = np.maximum(low, 0), np.minimum(high, cost.tiles.shape[:2])
+    first, last = np.maximum(low, 0), np.minimum(high, cost.tiles.shape)
     rows, cols = (slice(a, b) for a, b in zip(first - low, last - low, strict=True))
 
     def cut(values: NDArray[np.float32], beyond: float) -> NDArray[np.float32]:
-        near = np.full((*(high - low).tolist(), values.shape[2]), beyond, np.float32)
+        near = np.full((*(high - low).tolist(), *values.shape[2:]), beyond, np.float32)
         near[rows, cols] = values[first[0] : last[0], first[1] : last[1]]
         return near
 
@@ -537,7 +525,7 @@ def seek(
     """
     cost = as_costs(cost)
     start, goal = settle_point(start), settle_point(goal)
-    tiles, (rows, cols) = cost.tiles, cost.tiles.shape[:2]
+    tiles, (rows, cols) = cost.tiles, cost.tiles.shape
     at = np.floor([start, goal])
     if (at < 0).any() or (at >= (rows, cols)).any() or np.isinf(tiles[tuple(at.astype(np.int64).T)]).any():
         level = SearchFrame(False, (False, False), False, (rows, cols))

@@ -326,7 +326,7 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
     most_seen = min(reader.info.most_seen for reader in inputs.readers)
     rating = TileRating.of(config, models, most_seen)
     in_relief = rating.measure_all if config.compat == "none" else None  # the paper knows no obstacles
-    columns = rated_columns(grid.pixels, headings=config.headings)
+    columns = rated_columns(grid.pixels)
     if any(reader.has_colour for reader in inputs.readers):
         columns = (*columns, photo_column(grid.pixels))
     work = BlockWork(grid, columns, rating, config.ground, in_relief, relief_margin(grid))

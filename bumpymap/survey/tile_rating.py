@@ -74,7 +74,6 @@ from bumpymap.rating import (
     closing_height,
     dense_share,
     edge_usable,
-    felt_by_heading,
     find_calibration,
     find_passable,
     find_steps,
@@ -85,7 +84,6 @@ from bumpymap.rating import (
     rate_as_paper,
     rate_beside_steps,
     rate_thin,
-    ride_weight,
     settle_objects,
     shipped_calibrations,
     thin_columns,
@@ -151,7 +149,7 @@ class TileRating:
     @classmethod
     def of(cls, config: MapConfig, models: RatingModels, most_seen: float = math.inf) -> "TileRating":
         """Choose the steps that the settings ask for."""
-        ride = RideModel(models.calibration, headings=config.headings) if config.by_ride else None
+        ride = RideModel(models.calibration) if config.by_ride else None
         return cls(config, models, ride, most_seen)
 
     def measure_all(self, points: TilePoints) -> PatchStack:
@@ -346,19 +344,14 @@ class NeighbourRating:
     def needs(self) -> tuple[str, ...]:
         """Columns of the finished tiles that it reads."""
         seen = ("density", "all_density", "smallest_object")
-        return (*_RATED, "slope", "coverage", "heights", "objects", *_OBJECTS, *seen, "thin", *self._headings)
+        return (*_RATED, "slope", "coverage", "heights", "objects", *_OBJECTS, *seen, "thin")
 
     @property
     def columns(self) -> tuple[Column, ...]:
         """Columns that it returns."""
         config = self.config
-        columns = neighbour_columns(config.pixels, headings=config.headings)
+        columns = neighbour_columns(config.pixels)
         return (*(column for column in columns if column.name not in ("passable", "passage")), _SIDES)
-
-    @property
-    def _headings(self) -> tuple[str, ...]:
-        """The column of headings, if they were asked for."""
-        return ("headings",) if self.config.headings else ()
 
     def _of_unknown(self, own: Mapping[str, NDArray[Any]]) -> Columns:
         """Return the columns of unknown tiles beside unknown ones."""
@@ -369,7 +362,7 @@ class NeighbourRating:
         overhead = np.where(np.isin(states, OVERHEAD), np.uint8(CANOPY), np.uint8(UNSEEN))
         objects = np.where(states == OBSTACLE, np.uint8(OBSTACLE), overhead)
         return (
-            {name: own[name] for name in (*_RATED, *_OBJECTS, *self._headings)}
+            {name: own[name] for name in (*_RATED, *_OBJECTS)}
             | dict.fromkeys((*_STEPS, *SEEN_COLUMNS, *_BESIDE_STEPS), nothing)
             | {"barred": np.full(tiles, Barred.UNKNOWN, np.uint8), _SIDES.name: np.zeros(tiles, np.uint8)}
             | {"objects": objects}
@@ -415,7 +408,6 @@ class NeighbourRating:
             # A roof is an obstacle of unknown height, and nothing that hangs over the way.
             | {"obstacle_height": np.where((height == 0.0) & (obstacle > 0.0), nothing, height)}
             | {"clearance": np.where((states == CANOPY).any(axis=(2, 3)), own["clearance"], nothing)}
-            | self._by_heading(window, own["c_r"])
         )
         if alone.any():
             tiles = {name: window.inner(name)[alone] for name in self.needs}
@@ -431,15 +423,6 @@ class NeighbourRating:
         return {
             name: np.where(known, values, np.float32(np.nan)) for name, values in zip(SEEN_COLUMNS, found, strict=True)
         }
-
-    def _by_heading(self, window: NeighbourWindow, c_r: NDArray[np.float32]) -> Columns:
-        """Return the ride by heading in the inner tiles, if it is asked for."""
-        if not self.config.headings:
-            return {}
-        # Of thin tiles the filled heightmap is little known, and so are its headings.
-        of_first = _first(window).inner(self.rings)
-        weight = ride_weight(of_first, window.inner("coverage")) if self.config.by_ride else 1.0
-        return {"headings": felt_by_heading(self.calibration, window.inner("headings"), c_r, weight)}
 
     def _known(self, window: NeighbourWindow) -> NDArray[np.bool_]:
         """Return which tiles have a class, or will have one."""

@@ -192,7 +192,7 @@ def field_names(file: str) -> dict[str, str]:
     from bumpymap.layers import tile_fields
 
     named = {}
-    for field in tile_fields(1, lambda _: True):
+    for field in tile_fields(1, has_source=True):
         text, unit = (field.metadata.get(key, b"").decode() for key in (b"description", b"unit"))
         named[field.name] = f"{text} ({unit})" if unit else text
     return named

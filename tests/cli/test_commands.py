@@ -21,7 +21,7 @@ from made_drives import write_bin
 from point_files import read_vertices, write_ply
 from pyproj import Transformer
 from rich.console import Console
-from route_maps import ROWS, SOUTH, WEST, lonlat, place, site, write_folder
+from route_maps import ROWS, RUN, SOUTH, WEST, copy_folder, list_anew, lonlat, place, site, write_folder
 from small_surveys import run, write_las, write_survey
 
 from bumpymap.cli import _output, exit_code_of
@@ -78,7 +78,8 @@ REFUSED = [
     (2, f"{MAP} --tile-size 4", "Use --tile-size 3, --set pixels=15"),
     (2, f"{MAP} --speed 9", "holds from 0.4 to 2.5 m/s"),
     (2, f"{MAP} --set speeds=1,2", "unknown setting speeds"),
-    (2, f"{MAP} --set headings=true --set rating=table", "--set rating='table' knows no heading"),
+    (2, f"{MAP} --set headings=true", "unknown setting headings"),
+    (2, f"{MAP} --speed 1 --set rating=table", "--set rating='table' knows no speed"),
     (2, f"{MAP} --speed 1 --set compat=paper", "--set compat='paper' knows no speed"),
     (2, "map a.laz --out OUT --crs EPSG:32632 --local", "--crs and --local contradict"),
     (2, "map a.laz --out OUT --calibration c.json --vehicle warthog", "--calibration and --vehicle"),
@@ -251,6 +252,22 @@ def test_where_the_survey_is_too_thin_the_message_says_what_density_would_do(tmp
     exported = json.loads((tmp_path / "nav2" / "datum.json").read_text())
     assert exported["seen"] == record["counts"]["seen_sizes"]["seen"]
     assert exported["seen"] in (tmp_path / "nav2" / "map.yaml").read_text()
+
+
+def test_a_map_with_a_setting_and_a_raster_that_are_gone_is_read_like_one_without(tmp_path):
+    """Earlier versions rated the ride by heading too."""
+    old = copy_folder(Path("may"), tmp_path / "old", settings=RUN["settings"] | {"headings": True})
+    (old / "rasters/headings.tif").write_bytes(b"is not read")
+    list_anew(old, files=[*json.loads((old / "run.json").read_text())["files"], {"path": "rasters/headings.tif"}])
+    written = []
+    for number, layers in enumerate(("may", old)):
+        out = tmp_path / str(number)
+        for words in ("route", "--from", A, "--to", C), ("export", "--to", "nav2"):
+            run(words[0], layers, *words[1:], "--out", out / words[0], code=0)
+        written.append([(out / name).read_bytes() for name in ("route/route.geojson", "export/map.pgm")])
+    assert written[0] == written[1]
+    run("report", old, code=0)
+    run("diff", old, "june", "--out", tmp_path / "diff", code=0)
 
 
 # --- scan ---

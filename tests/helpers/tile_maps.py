@@ -59,8 +59,6 @@ class TileMap:
     has_crs: bool = True
     smallest_object: float | np.ndarray = 0.7
     """m, of all tiles or of each."""
-    by_axis: np.ndarray = None
-    """C_r along each axis, (rows, cols, 8); None: not known."""
     windows: list = field(default_factory=list)
     stones: list = field(default_factory=list)
 
@@ -107,13 +105,6 @@ class TileMap:
             self.rule,
             self.vehicle,
         )
-
-    @property
-    def has_headings(self):
-        return self.by_axis is not None
-
-    def headings(self, window):
-        return np.stack([self._cut(one, window, np.nan) for one in np.moveaxis(self.by_axis, -1, 0)], axis=-1)
 
     def objects(self, window):
         """Chosen pixels with an obstacle: easting and northing, m."""
@@ -241,15 +232,10 @@ def smooth_field(rng, shape, *, most=8.0, width=2, closed=0.0):
     return np.where(cost > limit, np.inf, 1.0 + (most - 1.0) * cost).astype(np.float32)
 
 
-def by_heading(rng, cost):
-    """The same field with a cost of its own along each axis."""
-    return np.maximum(cost[..., None] * rng.uniform(0.5, 2.0, (*cost.shape, 8)), 1.0).astype(np.float32)
-
-
 def with_slope(rng, cost, steepest=0.25):
     """The same field with slopes of up to a half or so."""
-    gradient = rng.normal(0.0, 0.15, (*cost.shape[:2], 2)).astype(np.float32)
-    return Costs(cost if cost.ndim == 3 else cost[..., None], gradient, 6.0, 2.0, 3.0, steepest)
+    gradient = rng.normal(0.0, 0.15, (*cost.shape, 2)).astype(np.float32)
+    return Costs(cost, gradient, 6.0, 2.0, 3.0, steepest)
 
 
 def crossed(row, col):
@@ -275,26 +261,19 @@ def near_tiles(row, col, margin):
 
 
 def along(cost, row, col):
-    """Costs of tiles in a direction: (rows, cols, 8) between two axes, by tangents; and what slopes add to them."""
-    if isinstance(cost, tuple):
-        south, east = np.moveaxis(cost.gradient.astype(np.float64), -1, 0)
-        off, steep = np.arctan2(row, col) - np.arctan2(south, east), np.hypot(south, east)
-        rise, across = steep * np.cos(off), steep * np.abs(np.sin(off))
-        more = np.where(rise > 0.0, cost.climb, -cost.descent) * rise + cost.side * across
-        return along(cost.tiles, row, col) + np.where(across > cost.steepest, np.inf, more)
-    if cost.ndim == 2 or cost.shape[2] == 1:
-        return cost.reshape(cost.shape[:2])
-    azimuth = np.degrees(np.arctan2(col, -row)) % 180.0
-    lower, main = np.floor(azimuth / 22.5 + 1e-9), 90.0 * np.round(azimuth / 90.0)
-    first, here, last = np.tan(np.radians(np.array([22.5 * lower, azimuth, 22.5 * (lower + 1)]) - main))
-    low, high = (cost[..., int(axis) % 8].astype(np.float64) for axis in (lower, lower + 1))
-    share = (here - first) / (last - first)
-    return low if share == 0.0 else low * (1.0 - share) + high * share
+    """Costs of tiles in a direction, with what slopes add to them."""
+    if not isinstance(cost, tuple):
+        return cost
+    south, east = np.moveaxis(cost.gradient.astype(np.float64), -1, 0)
+    off, steep = np.arctan2(row, col) - np.arctan2(south, east), np.hypot(south, east)
+    rise, across = steep * np.cos(off), steep * np.abs(np.sin(off))
+    more = np.where(rise > 0.0, cost.climb, -cost.descent) * rise + cost.side * across
+    return cost.tiles + np.where(across > cost.steepest, np.inf, more)
 
 
 def move_graph(cost, moves, margin):
     """All moves of a window as a sparse graph; a move is there if no closed square is nearer than the margin."""
-    is_open = np.isfinite(along(cost.tiles if isinstance(cost, tuple) else cost, 1, 0))
+    is_open = np.isfinite(cost.tiles if isinstance(cost, tuple) else cost)
     rows, cols = is_open.shape
     ring, closed = np.full((rows + 10, cols + 10), np.inf), np.pad(~is_open, 5, constant_values=True)
     starts, ends, weights = [], [], []
@@ -314,7 +293,7 @@ def move_graph(cost, moves, margin):
 
 def reach_by_graph(cost, moves, margin, tile):
     """(rows, cols) cost from the middle of a tile to all others."""
-    rows, cols = (cost.tiles if isinstance(cost, tuple) else cost).shape[:2]
+    rows, cols = (cost.tiles if isinstance(cost, tuple) else cost).shape
     return dijkstra(move_graph(cost, moves, margin), indices=tile[0] * cols + tile[1]).reshape(rows, cols)
 
 

@@ -41,7 +41,7 @@ from bumpymap.layers import ZoneCounts, describe_file, open_map, read_areas, rea
 from bumpymap.layers.folder import write_products, write_raster
 from bumpymap.layers.manifest import describe_input, summarise
 from bumpymap.layers.placement import MAX_TILES, check_extent
-from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES, MapFile, check_folder
+from bumpymap.layers.products import EVERY_VIEW_NAME, PRODUCT_NAMES, MapFile, check_folder
 from bumpymap.layers.tile_table import write_tiles
 from bumpymap.views import export_map, write_map_views, write_report, zones_line
 from bumpytiles import Grid, TileTable, TileWindow
@@ -71,11 +71,11 @@ def write_map(cost_map, folder, *, local=False, manifest=TIMED_RUN):
 def test_all_files_of_a_run(tmp_path, cost_map):
     paths, summary = write_map(cost_map, tmp_path)
     assert summary.tiles == len(cost_map.class_id)
-    assert paths == [tmp_path / name for name in (*PRODUCT_NAMES, *VIEW_NAMES)]
+    assert paths == [tmp_path / name for name in (*PRODUCT_NAMES, *EVERY_VIEW_NAME)]
     assert {path.name for path in tmp_path.iterdir()} == TOP
     record = json.loads((tmp_path / "run.json").read_text())
     found = {name: hashlib.sha256(content).hexdigest() for name, content in files_in(tmp_path).items()}
-    assert set(found) == {*PRODUCT_NAMES, *VIEW_NAMES, *SIDE_FILES}
+    assert set(found) == {*PRODUCT_NAMES, *EVERY_VIEW_NAME, *SIDE_FILES}
     assert {entry["path"]: entry["sha256"] for entry in record["files"]} == {
         name: found[name] for name in PRODUCT_NAMES if name != "run.json"
     }

@@ -30,7 +30,7 @@ from bumpymap.layers import GeoJsonCoordinates, Placement, _cog, read_areas, rea
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
 from bumpymap.layers.folder import write_raster
 from bumpymap.layers.map_reader import KeptRasters
-from bumpymap.layers.products import SOME_NAMES, MapFile
+from bumpymap.layers.products import MapFile
 from bumpymap.layers.route_inputs import FilePoint
 from bumpymap.layers.vector import dissolve, region_columns
 from bumpytiles import Grid, TileTable, TileWindow
@@ -38,7 +38,7 @@ from bumpytiles import Grid, TileTable, TileWindow
 WRITERS = {
     Path(file).stem: lambda cost_map, *rest, file=file: write_raster(file, table_of(cost_map), *rest)
     for file in MapFile
-    if file.endswith(".tif") and file not in {MapFile.PASSAGE, *SOME_NAMES}
+    if file.endswith(".tif") and file not in {MapFile.PASSAGE, MapFile.PHOTO}
 }
 
 

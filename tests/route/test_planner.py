@@ -15,7 +15,7 @@ from rings import HALF_M, Ring, crossed_by_tools
 from route_maps import COLS, ROWS, SOUTH, WEST, bare_map, place, site, write_folder
 from scipy.ndimage import gaussian_filter
 from small_surveys import files_in
-from tile_maps import CORNERS, WARTHOG, MadeUpMap, TileMap, cheapest_on_pixels, make_route, reach_by_graph, smooth_field
+from tile_maps import CORNERS, WARTHOG, MadeUpMap, TileMap, cheapest_on_pixels, make_route, smooth_field
 
 import bumpymap
 from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference, OutputError, RouteVehicle, UsageError
@@ -27,7 +27,7 @@ from bumpymap.route.measure import way_cost
 from bumpymap.route.output import ROUTE_FILES, check_out, write_route
 from bumpymap.route.places import in_window, place_in_window
 from bumpymap.route.planner import Planner, tile_line
-from bumpymap.route.search import MOVES, find_way, line_cost
+from bumpymap.route.search import find_way, line_cost
 from bumpymap.route.stops import find_stops, usable_point
 from bumpytiles import TileWindow
 
@@ -149,30 +149,6 @@ def test_a_way_of_no_length_stays_there():
     figures = planner(site).way(np.array([site.at(4.5, 2.5)] * 2)).figures
     assert (figures.length_m, figures.cost_m, figures.obstacle_m) == (0.0, 0.0, 0.0)
     assert str(figures.descent_m) == "0.0"
-
-
-@pytest.mark.parametrize(
-    ("headings", "around", "goal", "detour"),
-    [
-        ((0.1, 0.1, 0.2, 0.4, 0.5, 0.4, 0.2, 0.1), 0.04, (2.5, 37.5), 1.5),  # ridges from north to south
-        ((0.5, 0.45, 0.35, 0.25, 0.04, 0.25, 0.35, 0.45), 0.33, (17.5, 37.5), 1.03),  # ruts from west to east
-    ],
-)
-def test_a_way_knows_direction_as_an_exhaustive_search_does(headings, around, goal, detour):
-    """A field of 20 x 24 tiles, smooth or even ground around it; by the mean over headings the way is straight."""
-    start, by_axis = (2.5, 2.5), np.full((26, 40, 8), around)
-    by_axis[:20, 8:32] = headings
-    site = TileMap(by_axis.mean(axis=2), by_axis=by_axis.astype(np.float32))
-    stops = np.array([site.at(*start), site.at(*goal)])
-    way, plain = planner(site).way(stops), planner(site, direction=False).way(stops)
-    fine = np.repeat(np.repeat((1.0 + 5.0 * by_axis).astype(np.float32), 2, 0), 2, 1)
-    places = [tuple(int(2 * x) for x in place) for place in (start, goal)]
-    best = 1.5 * reach_by_graph(fine, MOVES, 0.0, places[0])[places[1]]
-    assert way.figures.cost_m == pytest.approx(best, rel=0.01)
-    assert way.figures.detour > detour
-    assert plain.figures.detour < 1.01
-    np.testing.assert_array_equal(planner(site).way(stops[::-1]).line, way.line[::-1])
-    assert way_cost(ground_of(site), plain.line) > 1.03 * way.figures.cost_m
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from small_surveys import SIDES
 
 from bumpymap.core import BadInputError, OutputError, PolarSettings, Robot, SilentProgress, UsageError
 from bumpymap.layers import part_path
-from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
+from bumpymap.layers.products import EVERY_VIEW_NAME, PRODUCT_NAMES
 from bumpymap.readers import read_scan
 from bumpymap.scan.classifier import choose_method
 from bumpymap.scan.config import ScanConfig
@@ -88,7 +88,7 @@ def products(folder):
 def test_a_run_writes_every_product_and_nothing_else(mapped):
     out, result, _ = mapped
     frames = [f"frames/{number}.{ending}" for number in range(3) for ending in ("ply", "png")]
-    layers = [*PRODUCT_NAMES, *VIEW_NAMES, *SIDES]
+    layers = [*PRODUCT_NAMES, *EVERY_VIEW_NAME, *SIDES]
     whole = [*frames, "gathered.laz", "scan.json", "sectors.parquet", *(f"map/{name}" for name in layers)]
     assert files(out) == sorted(whole)
     assert result.files == ("frames", "sectors.parquet", "gathered.laz", "scan.json")

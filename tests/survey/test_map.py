@@ -26,7 +26,7 @@ import bumpymap
 from bumpymap import layers
 from bumpymap.cli import main
 from bumpymap.core import BadInputError, locked
-from bumpymap.layers.products import VIEW_NAMES
+from bumpymap.layers.products import EVERY_VIEW_NAME
 from bumpymap.readers import PointStats, hash_survey, open_survey, scans as scan_files
 from bumpymap.readers.las import LasSurvey
 from bumpymap.scan import frames as scan_work
@@ -120,7 +120,7 @@ def test_layers_that_a_gis_saved_its_styles_and_statistics_beside_are_still_a_co
     out = tmp_path / "viewed"
     run("map", survey, "--out", out, code=0)
     made = files_in(out)
-    for name in VIEW_NAMES:
+    for name in EVERY_VIEW_NAME:
         if (out / name).suffix in {".qml", ".qgs"}:
             (out / name).write_text("<qgis/>", encoding="utf-8")
     (out / "map.qgs~").write_text("<qgis/>", encoding="utf-8")
@@ -131,7 +131,7 @@ def test_layers_that_a_gis_saved_its_styles_and_statistics_beside_are_still_a_co
     before = files_in(out)
     assert "Already done" in run("map", survey, "--out", out).output
     assert files_in(out) == before
-    for name in VIEW_NAMES:
+    for name in EVERY_VIEW_NAME:
         (out / name).unlink(missing_ok=True)
     assert "Already done" in run("map", survey, "--out", out).output
     run("map", survey, "--out", out, "--overwrite", code=0)

@@ -1,4 +1,4 @@
-"""Ground and ride of a survey: other speeds, headings, few points; one map however points are delivered and cut."""
+"""Ground and ride of a survey: other speeds, few points; one map however points are delivered and cut."""
 
 import json
 import re
@@ -18,7 +18,7 @@ from small_surveys import SIDES, alike_surveys, files_in, killed_at, layers_of, 
 import bumpymap
 from bumpymap.core import INCLUDED_PIXELS, MapConfig, UsageError, with_pixels
 from bumpymap.lab.terrains import fractal
-from bumpymap.layers import PRODUCT_NAMES, MapFile, open_map
+from bumpymap.layers import PRODUCT_NAMES, MapFile
 from bumpymap.rating import DRIVE_LOG_SD, Calibration, RideModel, shipped_calibrations
 from bumpymap.survey.tile_rating import RatingModels
 
@@ -231,10 +231,9 @@ def survey(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def maps(survey, tmp_path_factory):
-    """The map, the map with the ride by heading, and that at 2 m/s."""
+    """The map, and that at 2 m/s."""
     out = tmp_path_factory.mktemp("maps")
-    wanted = {"plain": (), "headings": ("--set", "headings=true"), "fast": ("--speed", 2)}
-    for name, options in wanted.items():
+    for name, options in {"plain": (), "fast": ("--speed", 2)}.items():
         run("map", survey, "--out", out / name, *options, code=0)
     return out
 
@@ -242,33 +241,6 @@ def maps(survey, tmp_path_factory):
 def bands(path):
     with rasterio.open(path) as file:
         return dict(zip(file.descriptions, file.read(), strict=True))
-
-
-def test_the_other_layers_keep_their_bytes(maps):
-    plain, more = (files_in(maps / name) for name in ("plain", "headings"))
-    same = [name for name in plain if name.endswith(".tif")]
-    assert len(same) == 10
-    assert all(plain[name] == more[name] for name in same)
-
-
-def test_c_r_by_heading_has_the_mean_of_the_tile_which_is_all_that_few_points_tell(maps):
-    found, site = bands(maps / "headings" / "rasters/headings.tif"), open_map(maps / "headings")
-    assert tuple(found) == tuple(f"c_r_{azimuth:g}" for azimuth in np.arange(8) * 22.5)
-    by_axis, tiles = np.stack(list(found.values()), axis=-1), bands(maps / "headings" / "rasters/roughness.tif")
-    np.testing.assert_array_equal(by_axis, site.headings(site.window))
-    c_r, dense = tiles["c_r"], tiles["coverage"] > 0.75
-    counts = np.diff(RideModel(Calibration.shipped("warthog")).operator.samples.bounds[1:])
-    np.testing.assert_allclose(np.average(by_axis, axis=2, weights=counts), c_r, rtol=1e-5)
-    thin = np.isfinite(c_r) & (tiles["coverage"] < 0.35)
-    assert thin.sum() > 10
-    np.testing.assert_array_equal(by_axis[thin], np.repeat(c_r[thin][:, None], 8, axis=1))
-    assert np.median(by_axis[dense].max(axis=1) / by_axis[dense].min(axis=1)) > 1.1
-    table = pq.read_table(maps / "headings" / "tiles.parquet", columns=["calm_axis_deg", "heading_ratio"]).to_pandas()
-    flat = by_axis[np.isfinite(c_r)]
-    assert sorted(table.heading_ratio.dropna()) == pytest.approx(sorted(flat.max(axis=1) / flat.min(axis=1)), rel=1e-5)
-    assert (table.calm_axis_deg.dropna() == 22.5 * np.round(table.calm_axis_deg.dropna() / 22.5)).all()
-    assert not open_map(maps / "plain").has_headings
-    assert not {"calm_axis_deg", "heading_ratio"} & set(pq.read_schema(maps / "plain" / "tiles.parquet").names)
 
 
 def test_layers_say_their_speed_and_fail_as_before(maps):

@@ -12,7 +12,6 @@ from xml.etree import ElementTree as ET
 import geopandas
 import numpy as np
 import pytest
-import shapely
 from check_records import made_up_check, on_site
 from cost_maps import make_field, survey, table_of
 from page_outline import ReadPage
@@ -234,23 +233,6 @@ def test_every_area_is_drawn_and_none_as_what_it_is_not(seen, cost_map):
     assert "nothing" not in regions
     assert sum(regions.values()) == seen["layers"]["cost.fgb"]["features"]
     assert set(regions) == set(drawn)
-
-
-@pytest.mark.qgis
-def test_a_line_shows_the_calm_axis_where_it_matters(tmp_path):
-    def drawn(name, ratio, *, headings, passable=True):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "tiles.parquet").touch()
-        write_styles(tmp_path / name, RECORD | {"settings": {"headings": headings}})
-        columns = {"class": [0], "passable": [passable], "calm_axis_deg": [90.0], "heading_ratio": [ratio]}
-        tile = geopandas.GeoDataFrame(columns, geometry=[shapely.box(0, 0, 3, 3)], crs=32614)
-        tile.to_file(tmp_path / name / "tiles.gpkg")
-        return load(tmp_path / name)["layers"]["tiles.gpkg"]["colours"]
-
-    plain = drawn("plain", 1.4, headings=False)
-    assert drawn("even", 1.25, headings=True) == plain < drawn("calm", 1.4, headings=True)
-    closed, lined = (drawn(f"closed {own}", 1.4, headings=own, passable=False) for own in (False, True))
-    assert lined == closed
 
 
 @pytest.mark.qgis

@@ -35,7 +35,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bumpymap.core import AXES_DEG, Floats, loops
+from bumpymap.core import Floats, loops
 from bumpymap.rating.vehicle_profile import Vehicle
 
 Places = tuple[Floats, Floats, Floats]
@@ -216,7 +216,6 @@ class RideOperator:
     """Nodes along the side of a pixel."""
     wheel: WheelShape
     samples: PitchSamples
-    """Groups: all; then the same rows by the nearest of ``AXES_DEG``."""
     wheel_node: Annotated[NDArray[np.int32], 3]
     """(poses, 4 wheels, 4 corners): front left, front right, rear left, rear right; bilinear reads of the nodes."""
     wheel_weight: Annotated[NDArray[np.float32], 3]
@@ -245,7 +244,7 @@ class RideOperator:
         return cls(
             fine=lattice.fine,
             wheel=lattice.wheel,
-            samples=joined((samples, _by_axis(samples, places[2]))),
+            samples=samples,
             wheel_node=wheel_node.astype(np.int32),
             wheel_weight=wheel_weight.astype(np.float32),
             belly_node=belly_node.astype(np.int32),
@@ -329,22 +328,6 @@ def pitch_change(lattice: NodeLattice, places: Places, taps: Floats) -> PitchSam
     return wheel_rows(lattice, places, (1, 1, -1, -1), shares / (2 * lattice.wheelbase), back)
 
 
-def _by_axis(samples: PitchSamples, heading: Floats) -> PitchSamples:
-    """Put the samples in the order of their axes.
-
-    ``heading`` (samples,) is counted from the columns to the rows, rad; a way and its opposite are on one axis.
-    """
-    width = AXES_DEG[1] - AXES_DEG[0]
-    # The north row of a patch comes first, so its rows count southwards.
-    axis = np.rint((90.0 + np.degrees(heading)) / width).astype(np.int64) % len(AXES_DEG)
-    order = np.argsort(axis, kind="stable")
-    length = np.diff(samples.starts)[order]
-    starts = np.concatenate(([0], np.cumsum(length)))
-    entry = np.arange(starts[-1]) + np.repeat(samples.starts[order] - starts[:-1], length)
-    bounds = np.searchsorted(axis[order], np.arange(len(AXES_DEG) + 1))
-    return PitchSamples(starts.astype(np.int32), samples.node[entry], samples.weight[entry], bounds)
-
-
 def _noise_gain(samples: PitchSamples, pixels: int, fine: int) -> float:
     """Take the root of the mean sum of squares of what the pixels' heights are worth to each sample.
 
@@ -404,20 +387,16 @@ class Rides:
     """(n,) mean absolute height difference of pixels two apart, m."""
 
 
-def roll_over(relief_map: NDArray[np.float32], operator: RideOperator, by_axis: Floats | None = None) -> Rides:
+def roll_over(relief_map: NDArray[np.float32], operator: RideOperator) -> Rides:
     """Roll a vehicle over patches.
 
     ``relief_map`` (n, pixels, pixels): plane-removed relief without holes, m; patches with NaN are left out.
-    ``by_axis`` (n, 8) is filled with the geometric C_r along each of ``AXES_DEG``, rad/m; the north row of a patch
-    comes first.
     """
     patches = np.ascontiguousarray(relief_map, np.float32)
     known = _without_holes(patches)
-    motions = np.full((len(relief_map), 1 if by_axis is None else 1 + len(AXES_DEG), 2), np.nan)
+    motions = np.full((len(relief_map), 1, 2), np.nan)
     stands = np.full((len(relief_map), 3), np.nan)
     loops.ride_patches(known, patches, operator, operator, motions, stands)
-    if by_axis is not None:
-        by_axis[:] = motions[:, 1:, 0]
     heights = _heights(np.where(known[:, None, None], patches, np.float32(np.nan)))
     return Rides(*(*motions[:, 0].T.copy(), *stands.T.copy(), *heights))
 

@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import (
-    AXES_DEG,
     FAIL_SHARE,
     NO_CLASS,
     NORMAL_80,
@@ -39,15 +38,11 @@ from bumpymap.core import (
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride.correction import Correction, Prediction, class_chance
 from bumpymap.rating.ride.operator import MotionOperator, RideOperator, Rides, cosines, move_over, roll_over
-from bumpymap.rating.ride.speed import LEVEL, motion_factors, plain_speed_factor, speed_log_sd
+from bumpymap.rating.ride.speed import motion_factors, plain_speed_factor, speed_log_sd
 from bumpymap.rating.vehicle_profile import with_floor
 
 _STEEPNESS = (2.0, 2.6, 3.2, 3.8, 4.5)
 """Exponents of the ground's spectrum that are tried: Hurst exponents from 0 to beyond 1."""
-_SHARPENED = 1.2
-"""Power of C_r along an axis over the mean. An axis takes samples of 22.5 degrees, and ground that is mirrored at the
-edges of the tile has its mirrored headings there: both even out what a line feels. From 1.15 to 1.3 the errors against
-drives and rides of lines are least, on made-up and on natural ground."""
 DRIVE_LOG_SD = 0.22
 """Standard deviation of ln C_r of one calibration drive (10 s, at any place and heading) about the mean of many over
 the tile: the median over the terrains of the Warthog's calibration."""
@@ -102,32 +97,23 @@ def _spectrum_of(pixels: int) -> Spectrum:
 class RideModel:
     """Predicts the ride of one vehicle on tiles of one size, by its calibration.
 
-    With ``headings``, the ride by heading is rated too, see `CostMap.headings`. Raises BadInputError if the ride model
-    of the calibration is damaged.
+    Raises BadInputError if the ride model of the calibration is damaged.
     """
 
-    def __init__(self, calibration: Calibration, *, headings: bool = False) -> None:
+    def __init__(self, calibration: Calibration) -> None:
         self.calibration = calibration
         self.operator = RideOperator.of(calibration.profile, calibration.tile_size, calibration.pixels)
         self.correction = Correction.from_record(calibration.ride)
-        self.headings = headings
         self.moving: MotionOperator | None = None
         """Of a map at another speed than the profile's."""
         if calibration.map_speed != float(calibration.vehicle["speed_mps"]):
             size = calibration.tile_size, calibration.pixels
             self.moving = MotionOperator.of(calibration.profile, *size, (calibration.map_speed,))
 
-    def _predict(self, patches: PatchStack, by_axis: Floats | None) -> Prediction:
-        """Predict C_r and p_fail of n tiles, NaN where a tile cannot be judged.
-
-        ``by_axis`` (n, 8) is filled with the factors of `CostMap.headings`.
-        """
+    def _predict(self, patches: PatchStack) -> Prediction:
+        """Predict C_r and p_fail of n tiles, NaN where a tile cannot be judged."""
         relief_map, (_, noise) = denoise(patches)
-        rides = roll_over(relief_map, self.operator, by_axis)
-        if by_axis is not None:
-            own = np.where(rides.pitch_change > LEVEL, rides.pitch_change, np.nan)
-            by_axis[:] = (by_axis / own[:, None]) ** _SHARPENED
-            by_axis /= np.average(by_axis, axis=1, weights=np.diff(self.operator.samples.bounds[1:]))[:, None]
+        rides = roll_over(relief_map, self.operator)
         pixel_points = patches.count / patches.grid.pixels**2
         noise_felt = noise * self.operator.noise_gain
         found = self.correction.predict(rides, patches.slope.astype(np.float64), noise_felt, pixel_points)
@@ -146,8 +132,7 @@ class RideModel:
         """
         calibration = self.calibration
         calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)
-        by_axis = np.full((len(patches.reason), len(AXES_DEG)), np.nan) if self.headings else None
-        found = self._predict(patches, by_axis)
+        found = self._predict(patches)
         known = (patches.reason == Reason.OK) & np.isfinite(found.log_c_r)
         class_id, chance = judge(found, patches.slope, calibration)
         c_r, low, high = interval(found, calibration.map_floor)
@@ -161,7 +146,6 @@ class RideModel:
             # Filled pixels are a guess; a tile full of them is believed less.
             confidence=_where(known, chance * np.sqrt(patches.coverage)),
             probability=probability,
-            headings=None if by_axis is None else _where(known[:, None], by_axis),
         )
 
 

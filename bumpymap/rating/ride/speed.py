@@ -233,20 +233,6 @@ def motion_felt(
     return felt
 
 
-def felt_by_heading(
-    calibration: Calibration, factors: NDArray[np.float32], c_r: NDArray[np.float32], weight: Floats | float = 1.0
-) -> NDArray[np.float32]:
-    """Return C_r along each of ``AXES_DEG``, (..., 8) rad/m: that of the tile where its heightmap tells no heading.
-
-    ``calibration``: at the speed of the map; ``factors`` (..., 8): of `CostMap.headings`, NaN where the heightmap does
-    not tell; ``c_r`` (...): of the map, with the vehicle's floor, rad/m; ``weight`` (...): how far the heightmap counts
-    in it, 0..1.
-    """
-    more = np.nan_to_num(factors - np.float32(1.0)) * np.asarray(weight, np.float32)[..., None]
-    driven = less_floor(c_r, calibration.map_floor)[..., None]
-    return np.asarray(with_floor(driven * (1.0 + more), calibration.map_floor), np.float32)
-
-
 def plain_factors(calibration: Calibration, speeds: Sequence[float], c_r: Floats) -> NDArray[np.float32]:
     """Return the factors of tiles without a heightmap, (..., 2 k), from the driven C_r [rad/m] at k speeds."""
     model, speed = _model(calibration), calibration.map_speed

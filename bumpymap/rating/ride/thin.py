@@ -377,7 +377,7 @@ def rate_thin(
     Raises BadInputError if the model of thin surveys of the calibration is damaged.
     """
     model = _model(calibration)
-    weight = ride_weight(first, coverage)
+    weight = _ride_weight(first, coverage)
     reason = np.where(is_rateable(columns, first.reason) & (weight < 1.0), np.uint8(Reason.OK), first.reason)
     asked = reason == Reason.OK
     weight, slope, reason, before = *(_without(values, ring) for values in (weight, slope, reason)), first.inner(ring)
@@ -422,7 +422,7 @@ def _model(calibration: Calibration) -> ThinModel:
     return ThinModel.from_record(calibration.thin)
 
 
-def ride_weight(first: BlockRating, coverage: NDArray[np.floating]) -> Floats:
+def _ride_weight(first: BlockRating, coverage: NDArray[np.floating]) -> Floats:
     """Return the weight of the first pass in the rating of each tile: 0 of thin and unknown tiles, 1 of dense ones."""
     return np.where(first.class_id != NO_CLASS, dense_share(coverage), 0.0)
 

@@ -49,7 +49,6 @@ class MapSettings(TypedDict, total=False):
     vehicle: PathLike
     calibration: PathLike | None
     speed: float | None
-    headings: bool
     model: PathLike | None
     crs: str | int | None
     force_crs: str | int | None

@@ -139,22 +139,14 @@ def _light(kind: str, tip: str, opacity: float, **more: Any) -> Style:
     return {"kind": kind, "band": 1, "tip": tip, "opacity": opacity, "blend": HARD_LIGHT, **more}
 
 
-def vectors(file: str, looks: Iterable[tuple[str, str, _Colour, str]], large: str = "", line: str = "") -> Style:
+def vectors(file: str, looks: Iterable[tuple[str, str, _Colour, str]], large: str = "") -> Style:
     """Return the style of areas, lines or points: expression of QGIS that chooses them, label, colour, form of each.
 
     A form is ``solid``, ``outline``, ``line``, ``mark`` (a disc). An expression ``large`` says which marks are drawn
-    larger; ``line`` is a line over each area, NULL where there is none.
+    larger.
     """
     about = {"tip": TIPS[file], "fields": field_names(file)}
-    return {"kind": "vectors", "looks": list(looks), "large": large, "line": line, **about}
-
-
-CALM_RATIO = 1.3
-"""From this ratio of the highest to the lowest C_r by heading on, the heading matters."""
-_END = 'project(centroid($geometry), 0.4 * sqrt(area($geometry)), radians("calm_axis_deg" + {turn}))'
-_MATTERS = f'"passable" and "heading_ratio" > {CALM_RATIO}'
-CALM_LINE = f"if({_MATTERS}, make_line({_END.format(turn=0)}, {_END.format(turn=180)}), NULL)"
-"""Expression of QGIS: a line through a passable tile along the heading with the lowest C_r, where that matters."""
+    return {"kind": "vectors", "looks": list(looks), "large": large, **about}
 
 
 def _muted_looks(record: Mapping[str, Any]) -> list[tuple[str, str, _Colour, str]]:
@@ -315,7 +307,7 @@ def map_styles(record: Mapping[str, Any], *, in_project: bool = False, gain: flo
     labels, limits = class_labels(record), class_limits(record)
     anchors = RideScale.of(record).anchors
     stops = [(at, CLASS_COLOURS[code]) for code, at in enumerate(anchors)]
-    # Of the first band of roughness.tif and of headings.tif.
+    # Of the first band of roughness.tif.
     ride = _ramp("C_r", "rad/m", stops, (f"{anchors[0]:.2g} and less", f"{anchors[-1]:.2g} and more"))
     upto = [f"{name} to {limit:.3g}" for name, limit in zip(CLASS_NAMES, limits, strict=False)]
     units_per_m = 1.0 / record["metres_per_unit"]["horizontal"]
@@ -337,7 +329,6 @@ def map_styles(record: Mapping[str, Any], *, in_project: bool = False, gain: flo
     )
     muted = _muted_looks(record)
     looks = [*named, *muted]
-    line = CALM_LINE if record["settings"].get("headings") else ""
     dark = [(OBSTACLE, "obstacle, or step that it cannot cross"), (STEP_LINE, "")]
     return {
         MapFile.CLASS: paletted(enumerate(labels), CLASS_COLOURS),
@@ -355,7 +346,7 @@ def map_styles(record: Mapping[str, Any], *, in_project: bool = False, gain: flo
         MapFile.PASSAGE: paletted(enumerate(PASSAGE_NAMES), PASSAGE_COLOURS),
         MapFile.HEIGHTMAP: relief,
         MapFile.RELIEF: relief,
-        **(photos if in_project else {MapFile.HEADINGS: ride, MapFile.TILES: vectors(MapFile.TILES, looks, line=line)}),
+        **(photos if in_project else {MapFile.TILES: vectors(MapFile.TILES, looks)}),
     }
 
 
