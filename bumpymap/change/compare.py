@@ -92,7 +92,7 @@ def cell_pixels(pair: SurveyPair, shared: NDArray[np.bool_], coverage: NDArray[n
     points of both, if they fell at random: the product of both coverages.
     """
     pixels = pair.before.grid.pixels
-    factors = [factor for factor in range(1, pixels // _LEAST_SIDE + 1) if pixels % factor == 0]
+    factors = [factor for factor in range(1, max(pixels // _LEAST_SIDE, 1) + 1) if pixels % factor == 0]
     seen = float(np.nanmedian(coverage[shared])) if shared.any() else 1.0
     return max(factors, key=lambda factor: (1.0 - (1.0 - seen) ** (factor**2)) / factor)
 

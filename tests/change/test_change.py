@@ -207,6 +207,14 @@ def test_without_a_change_next_to_nothing_is_found(root):
     assert abs(np.nanstd(result.field.z_height) - 1.0) < 0.1
 
 
+@pytest.mark.parametrize(("pixels", "compared"), [(3, 0), (4, ROWS * COLS)])
+def test_maps_of_few_pixels_are_compared_pixel_by_pixel_or_it_is_said(pixels, compared, tmp_path):
+    names, grid = ("may", "june"), Grid(3.0, pixels)
+    result = compare(*(write_folder(tmp_path / name, survey(seed, grid=grid)) for seed, name in enumerate(names)))
+    assert (result.fit["cell_m"], result.counts["compared"]) == (3.0 / pixels, compared)
+    assert any("have too few pixels in common" in note for note in result.notes) == (compared == 0)
+
+
 def test_a_rut_is_found_and_little_else(rut):
     found = rut.field.changed > 0
     assert found[planted()].mean() >= 0.9
