@@ -1,8 +1,8 @@
 // The module of the compiled loops of bumpymap: those of each source that is named here.
 #include "bumpytiles/bindings.hpp"
 
-#define BUMPY_SOURCES                                                                                          \
-    align, cells, deskewing, ground_power, las, line_ride, measure, merge, motion_operator, objects, passable, \
+#define BUMPY_SOURCES                                                                                                 \
+    align, cells, deskewing, ground_power, jumps, las, line_ride, measure, merge, motion_operator, objects, passable, \
         point_stats, rate, search, sectors, solids, standing, steps
 
 #define DECLARE(name) void bind_##name(nb::module_& module);
