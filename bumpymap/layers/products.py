@@ -105,7 +105,9 @@ EVERY_VIEW_NAME: tuple[str, ...] = (
     MapFile.THUMBNAIL,
 )
 """Files to look at the others with: styles, a project, a page. GIS programs rewrite them, so they have no checksum."""
-EVERY_FILE = (*EVERY_NAME, *EVERY_VIEW_NAME)
+_RETIRED = tuple(f"rasters/{name}.{suffix}" for name in ("headings", "speeds") for suffix in ("tif", "qml"))
+"""Files of maps of earlier versions: a map that replaces one leaves none that is older than the others."""
+EVERY_FILE = (*EVERY_NAME, *EVERY_VIEW_NAME, *_RETIRED)
 """The files that a map may have left in its folder, relative to it."""
 
 

@@ -134,7 +134,9 @@ def test_layers_that_a_gis_saved_its_styles_and_statistics_beside_are_still_a_co
     for name in EVERY_VIEW_NAME:
         (out / name).unlink(missing_ok=True)
     assert "Already done" in run("map", survey, "--out", out).output
+    (out / "rasters/headings.tif").write_text("of an earlier version")
     run("map", survey, "--out", out, "--overwrite", code=0)
+    assert not (out / "rasters/headings.tif").exists()
     for name in ("rasters/class.qml", "map.qgs"):
         assert (out / name).read_bytes() == made[name]
     assert not (out / "rasters/roughness.tif.aux.xml").exists()
