@@ -37,7 +37,7 @@ def _lines(result: "ScanRun", record: Mapping[str, Any], config: ScanConfig) -> 
     states = record["sector_states"]
     yield (
         f"sectors: {states['free']:,} free (class 0 or 1), {states['obstacle']:,} with an obstacle, "
-        f"{states['rough']:,} rough, {states['not ground']:,} not ground"
+        f"{states['rough']:,} of class 2 without one, {states['not ground']:,} not ground"
     )
     if record["sectors_by_ride"] is not None:
         *rated, unknown = record["sectors_by_ride"].values()
