@@ -9,6 +9,8 @@ namespace {
 
 // Kind of a point that is ground: POINT_GROUND in core/types.py.
 constexpr std::uint8_t ground_kind = 1;
+// Point source id of points that name no flight line (LAS 1.4, 2.4.2.8): of a photogrammetric cloud all have it.
+constexpr std::uint16_t no_line = 0;
 // Side of a cell, m.
 constexpr double cell_m = 3.0;
 // Steps of a coordinate in a metre.
@@ -74,6 +76,10 @@ void add(
     Index i = table.state[0];
     while (i < n && table.state[1] < most_rows) {
         const std::uint16_t line = points.line[i];
+        if (line == no_line) {
+            ++i;
+            continue;
+        }
         const bool ground = points.kind[i] == ground_kind;
         double x = scaling.metres(points.x[i], 0), y = scaling.metres(points.y[i], 1);
         const Index col = tile_index(x, cell_m), row = tile_index(y, cell_m);
