@@ -167,11 +167,7 @@ class CostGround:
         """Return the cost per metre on each pixel, (rows * pixels, cols * pixels); inf where the vehicle cannot be."""
         pixels = self.site.grid.pixels
         out = np.repeat(np.repeat(self.on_tiles(window), pixels, 0), pixels, 1)
-        free = self._free(window, np.isinf(out))
-        if self.touching:
-            out[~free] *= np.float32(TOUCHING)
-        else:
-            out[~free] = np.inf
+        out[~self._free(window, np.isinf(out))] *= np.float32(TOUCHING if self.touching else np.inf)
         return out
 
     def with_room(self, cost: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -18,7 +18,7 @@ from scipy.sparse import csgraph
 
 from bumpymap.core import Floats, slope_cost
 from bumpymap.route.ground import CostGround, points_along, window_around
-from bumpymap.route.places import on_grid, overlap
+from bumpymap.route.places import on_grid
 from bumpytiles import TileWindow
 
 _PAD_TILES, _PAD_SHARE = 24, 0.25
@@ -64,7 +64,7 @@ def way_over_areas(ground: CostGround, start: Floats, goal: Floats) -> Floats | 
     ends = np.array([start, goal])
     pad = first_pad(ground, start, goal)
     while True:
-        window = overlap(window_around(ground.site, ends, pad), ground.site.window)
+        window = ground.site.window.overlap(window_around(ground.site, ends, pad))
         if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:
             return None
         graph = _graph(ground, window)
@@ -194,7 +194,7 @@ def _on_pixels(
             rows, cols = np.nonzero(corridor)
             part = TileWindow.around(window.col + cols, window.row + window.rows - 1 - rows)
         else:
-            part = overlap(window_around(ground.site, np.array(ends), _AROUND_TILES), window)
+            part = window.overlap(window_around(ground.site, np.array(ends), _AROUND_TILES))
         cost = ground.with_room(ground.on_pixels(part))
         top, left = window.row + window.rows - part.row - part.rows, part.col - window.col
         kept = corridor[top : top + part.rows, left : left + part.cols]

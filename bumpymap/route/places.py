@@ -106,14 +106,6 @@ def on_grid(places: NDArray[np.float64], grid: Grid, window: TileWindow) -> NDAr
     return np.column_stack([window.col + places[:, 1], window.row + window.rows - places[:, 0]]) * grid.tile_size
 
 
-def overlap(one: TileWindow, other: TileWindow) -> TileWindow:
-    """Return the tiles that two windows have in common."""
-    west, south = max(one.col, other.col), max(one.row, other.row)
-    east = min(one.col + one.cols, other.col + other.cols)
-    north = min(one.row + one.rows, other.row + other.rows)
-    return TileWindow(west, south, east - west, north - south)
-
-
 def window_within(whole: TileWindow, start: NDArray[np.float64], reach: float) -> TileWindow:
     """Return the part of a map within a distance of a place, tiles east and north of the grid's origin."""
     west = max(whole.col, math.floor(start[0] - reach))
