@@ -32,6 +32,16 @@ def require_folder(out: Path) -> None:
         raise OutputError(f"cannot write to the folder {out}: it is a file. Choose another `out`")
 
 
+def require_new_file(path: Path, *, overwrite: bool, option: str = "out") -> None:
+    """Raise OutputError if there is no folder for a file, or one of that name that must not be replaced."""
+    if not path.parent.is_dir():
+        raise OutputError(
+            f"cannot write {path}: there is no folder {path.parent}. Create it, or choose another `{option}`"
+        )
+    if lexists(path) and not overwrite:
+        raise OutputError(f"{path} exists already. Choose another `{option}`, or pass `overwrite=True` to replace it")
+
+
 def refuse_present(folder: Path, names: Sequence[str], *, overwrite: bool, whose: str = "") -> None:
     """Raise OutputError if a folder holds some of the files and they must not, or cannot, be replaced.
 

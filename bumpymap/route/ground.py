@@ -217,11 +217,9 @@ class CostGround:
 
     def is_clear(self, line: Floats) -> bool:
         """Say whether the vehicle fits on all of a line, (n, 2) easting and northing [m]."""
-        for part in stretches(line, _STRETCH_TILES * self.site.grid.tile_size):
-            window = window_around(self.site, part, 1)
-            if not self.is_clear_in(window, self.on_pixels(window), part):
-                return False
-        return True
+        parts = stretches(line, _STRETCH_TILES * self.site.grid.tile_size)
+        around = ((window_around(self.site, part, 1), part) for part in parts)
+        return all(self.is_clear_in(window, self.on_pixels(window), part) for window, part in around)
 
     def is_clear_in(
         self, window: TileWindow, cost: NDArray[np.float32], line: Floats, *, with_room: bool = False

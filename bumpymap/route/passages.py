@@ -29,10 +29,6 @@ _SECTION_TILES, _AROUND_TILES = 96, 12
 """Longest path that is searched at once, and margin around a section of a longer one, tiles (chosen)."""
 _TINY = 1e-9
 """Least cost of an arc: sparse graphs take 0 for none."""
-_CHEAPER, _CORNER_TILES = 0.97, 2.0
-"""Paths go straight from middle to middle of areas up to three arcs apart, and so cut corners. One takes the place of a
-way over whole tiles only if it costs less than this share of it, with that length added for a corner, tiles
-(chosen)."""
 BYTES_PER_TILE = 7000
 """Memory that the graph takes."""
 

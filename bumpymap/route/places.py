@@ -140,13 +140,11 @@ def _outside_m(point: GridPoint, route_map: MapReader) -> float:
 def extent_text(route_map: MapReader) -> str:
     """Say what a map spans, in its CRS and in longitude and latitude, for messages."""
     bounds = route_map.grid.window_bounds(route_map.window)
-    (west, south), (east, north) = (
-        route_map.to_crs(*corner) for corner in ((bounds.west, bounds.south), (bounds.east, bounds.north))
-    )
-    crs = route_map.georeference.crs
+    crs, unit = route_map.georeference.crs, route_map.georeference.metres_per_unit
+    west, south, east, north = (side / unit for side in (bounds.west, bounds.south, bounds.east, bounds.north))
     system = "in local coordinates" if crs is None else f"in {describe_crs(crs.to_2d())}"
-    if route_map.georeference.metres_per_unit != 1.0:
-        system += f" (unit: {unit_name(route_map.georeference.metres_per_unit)}; lengths in options are metres)"
+    if unit != 1.0:
+        system += f" (unit: {unit_name(unit)}; lengths in options are metres)"
     text = f"x {west:.2f} to {east:.2f}, y {south:.2f} to {north:.2f} {system}"
     if crs is None:
         return text
