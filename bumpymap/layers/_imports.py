@@ -2,6 +2,7 @@
 
 import sys
 from importlib import import_module
+from importlib.abc import MetaPathFinder
 from typing import Any
 
 from bumpymap.core import UsageError, install_command
@@ -15,6 +16,15 @@ _HIDDEN = frozenset(
 )
 
 
+class _Hidden(MetaPathFinder):
+    """Import hook that hides modules, and leaves all others to the next finders."""
+
+    def find_spec(self, fullname: str, path: Any, target: Any = None) -> None:
+        """Raise ModuleNotFoundError for what is hidden."""
+        if fullname in _HIDDEN:
+            raise ModuleNotFoundError(f"{fullname} is not imported here", name=fullname)
+
+
 def import_without_pandas(*names: str) -> None:
     """Import modules while pandas is hidden, from all threads; pyarrow, which looks for pandas once, does so now.
 
@@ -22,15 +32,14 @@ def import_without_pandas(*names: str) -> None:
     stores, or cloudpickle. Afterwards pyogrio cannot make data frames in this process, so this is for the command line
     only, never for a process that runs a caller's code. ``*names``: dotted names of modules.
     """
-    hidden = _HIDDEN - sys.modules.keys()
-    sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]  # None: importing it raises ModuleNotFoundError
+    finder = _Hidden()
+    sys.meta_path.insert(0, finder)
     try:
         for name in names:
             import_module(name)
         import_module("pyarrow").array([0])  # pyarrow looks for pandas once, when it makes its first array
     finally:
-        for name in hidden:
-            del sys.modules[name]
+        sys.meta_path.remove(finder)
 
 
 def import_notebook(package: str) -> Any:

@@ -271,12 +271,11 @@ def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: b
         if not is_link and (folder / name).is_dir() != (name in {FRAME_FOLDER, MAP_FOLDER}):
             raise OutputError(f"{folder / name} is not what a scan run writes. Choose another `out`")
     frames = folder / FRAME_FOLDER
-    foreign: Path | None = None
-    if frames.is_dir() and not frames.is_symlink():
-        is_ours = unfinished or (folder / SCAN_MANIFEST_NAME).exists()
-        others = (path for path in sorted(frames.iterdir()) if path.suffix not in FRAME_FILES.values())
-        foreign = next(others, None) if is_ours else frames
-    if foreign:
+    if not frames.is_dir() or frames.is_symlink():
+        return
+    is_ours = unfinished or (folder / SCAN_MANIFEST_NAME).exists()
+    others = (path for path in sorted(frames.iterdir()) if path.suffix not in FRAME_FILES.values())
+    if foreign := next(others, None) if is_ours else frames:
         raise OutputError(
             f"{foreign} was not written by a complete scan run and would be deleted by `overwrite=True`. Move it away, "
             "or choose another `out`"
@@ -291,8 +290,7 @@ def present_products(folder: Path) -> tuple[str, ...]:
 def move_products(staged: Path, out: Path) -> tuple[str, ...]:
     """Move all products from ``staged`` to ``out``; return their names. Those of an earlier run go, with its map."""
     with ThreadPoolExecutor(8) as pool:  # several at a time: the disk writes them in an order of its own
-        for _ in pool.map(sync_file, (path for path in staged.rglob("*") if path.is_file())):
-            pass
+        list(pool.map(sync_file, (path for path in staged.rglob("*") if path.is_file())))
     files, is_link = present_products(staged), (out / MAP_FOLDER).is_symlink()
     of_map = [MAP_FOLDER] if is_link else [f"{MAP_FOLDER}/{name}" for name in EVERY_FILE]
     move_together(staged, out, SCAN_MANIFEST_NAME, (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, *of_map))

@@ -50,13 +50,7 @@ def parse_point(text: str, route_map: MapReader, *, beyond_m: float = 0.0) -> Gr
 
 
 def place_point(
-    x: float,
-    y: float,
-    route_map: MapReader,
-    system: System | None = None,
-    *,
-    name: str = "the point",
-    beyond_m: float = 0.0,
+    x: float, y: float, route_map: MapReader, system: System | None, *, name: str, beyond_m: float
 ) -> GridPoint:
     """Return the point on the grid of a coordinate pair.
 

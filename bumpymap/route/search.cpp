@@ -294,22 +294,16 @@ void choose(
 Index leave_out(Costs cost, double margin, double worth, Array<double, 2> points, Index skips) {
     Index n = 0, count = points.shape[0];
     std::vector<double> best(count);
-    std::vector<Index> before(count);
+    std::vector<Index> before(count), kept;
     while (n != count) {
         n = count;
-        count = 1;
         choose(cost, margin, worth, points, n, skips, best, before);
-        Index at = n - 1;
-        while (at > 0) {  // turn the links round: from each corner that stays to the next one
-            const Index previous = before[at];
-            best[previous] = static_cast<double>(at);
-            at = previous;
-            ++count;
-        }
-        for (Index k = 0; k < count; ++k) {
-            points(k, 0) = points(at, 0);
-            points(k, 1) = points(at, 1);
-            at = k < count - 1 ? static_cast<Index>(best[at]) : 0;
+        kept.clear();
+        for (Index at = n - 1; at > 0; at = before[at]) kept.push_back(at);
+        count = 1;  // the first corner stays
+        for (auto at = kept.rbegin(); at != kept.rend(); ++at, ++count) {
+            points(count, 0) = points(*at, 0);
+            points(count, 1) = points(*at, 1);
         }
     }
     return count;
