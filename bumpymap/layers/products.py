@@ -42,15 +42,18 @@ def require_new_file(path: Path, *, overwrite: bool, option: str = "out") -> Non
         raise OutputError(f"{path} exists already. Choose another `{option}`, or pass `overwrite=True` to replace it")
 
 
-def refuse_present(folder: Path, names: Sequence[str], *, overwrite: bool, whose: str = "") -> None:
+def refuse_present(
+    folder: Path, names: Sequence[str], *, overwrite: bool, whose: str = "", folders: Collection[str] = ()
+) -> None:
     """Raise OutputError if a folder holds some of the files and they must not, or cannot, be replaced.
 
-    ``whose`` ends their list in the message.
+    ``whose`` ends their list in the message; ``folders``: those of them that are folders.
     """
     present = [name for name in names if lexists(folder / name)]
-    for path in (folder / name for name in present):
-        if not path.is_symlink() and not path.is_file():
-            raise OutputError(f"{path} is not a file, so it cannot be replaced. Choose another `out`")
+    for name in present:
+        path, kind = folder / name, "folder" if name in folders else "file"
+        if not path.is_symlink() and not (path.is_dir() if name in folders else path.is_file()):
+            raise OutputError(f"{path} is not a {kind}, so it cannot be replaced. Choose another `out`")
     if present and not overwrite:
         raise OutputError(
             f"{folder} already holds {', '.join(present)}{whose}. Choose another `out`, or pass `overwrite=True` to "

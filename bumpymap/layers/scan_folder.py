@@ -11,7 +11,6 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, replace
-from os.path import lexists
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,7 +41,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.manifest import describe_file, describe_input, software_versions, write_manifest
-from bumpymap.layers.products import EVERY_FILE, make_folder
+from bumpymap.layers.products import EVERY_FILE, make_folder, refuse_present
 from bumpymap.layers.tile_table import described_field, typed_array
 
 SCAN_CLASS_NAMES: tuple[str, ...] = (*CLASS_NAMES[:CLASSES], "not traversable")
@@ -260,16 +259,7 @@ def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: b
     if inside is not None:
         raise OutputError(f"{inside} is an input of this run, and the output would replace it. Choose another `out`")
     make_folder(folder)
-    present = [name for name in _NAMES if lexists(folder / name)]
-    if present and not (overwrite or unfinished):
-        raise OutputError(
-            f"{folder} already holds {', '.join(present)}. Choose another `out`, or pass `overwrite=True` to replace "
-            "them"
-        )
-    for name in present:
-        is_link = (folder / name).is_symlink()
-        if not is_link and (folder / name).is_dir() != (name in {FRAME_FOLDER, MAP_FOLDER}):
-            raise OutputError(f"{folder / name} is not what a scan run writes. Choose another `out`")
+    refuse_present(folder, _NAMES, overwrite=overwrite or unfinished, folders=(FRAME_FOLDER, MAP_FOLDER))
     frames = folder / FRAME_FOLDER
     if not frames.is_dir() or frames.is_symlink():
         return

@@ -24,7 +24,6 @@ from bumpymap.route.search import (
     BYTES_PER_TILE,
     BYTES_PER_TILE_BY_SLOPE,
     Costs,
-    as_cost,
     find_way,
     is_clear,
 )
@@ -115,7 +114,7 @@ class CostGround:
         gradient, pixels = self.site.gradient(window), len(cost) // window.rows
         gradient = np.repeat(np.repeat(gradient, pixels, 0), pixels, 1) if pixels > 1 else gradient
         steepest = settings.steepest if barred else math.inf
-        return Costs(as_cost(cost), gradient, settings.climb, settings.descent, settings.side_slope, steepest)
+        return Costs(cost, gradient, settings.climb, settings.descent, settings.side_slope, steepest)
 
     def on_tiles(self, window: TileWindow, *, through: bool = True) -> NDArray[np.float32]:
         """Return the cost per metre of each tile, (rows, cols), infinite where closed.

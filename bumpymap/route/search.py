@@ -70,19 +70,17 @@ _WIDER = 1.05
 """Margin of a search as a multiple of that of the line (chosen)."""
 
 
-def as_cost(cost: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return costs as loops take them; raises ValueError unless they are (rows, cols)."""
-    if cost.ndim != 2:
-        raise ValueError(f"cost has the shape {cost.shape}; it must be rows and columns")
-    return np.ascontiguousarray(cost, np.float32)
-
-
 def as_costs(cost: NDArray[np.floating] | Costs) -> Costs:
-    """Return costs with what slopes add, nothing unless they have it, as loops take them; see `as_cost`."""
+    """Return costs as loops take them, with what slopes add, nothing unless they have it.
+
+    Raises ValueError unless they are (rows, cols).
+    """
+    tiles = np.ascontiguousarray(cost.tiles if isinstance(cost, Costs) else cost, np.float32)
+    if tiles.ndim != 2:
+        raise ValueError(f"cost has the shape {tiles.shape}; it must be rows and columns")
     if isinstance(cost, Costs):
-        tiles, gradient = as_cost(cost.tiles), np.ascontiguousarray(cost.gradient, np.float32)
-        return cost._replace(tiles=tiles, gradient=gradient)
-    return Costs(as_cost(cost), np.empty((0, 0, 2), np.float32), 0.0, 0.0, 0.0, math.inf)
+        return cost._replace(tiles=tiles, gradient=np.ascontiguousarray(cost.gradient, np.float32))
+    return Costs(tiles, np.empty((0, 0, 2), np.float32), 0.0, 0.0, 0.0, math.inf)
 
 
 def as_margin(margin: float) -> float:

@@ -254,7 +254,8 @@ class PageTiles:
         numbers = {name: np.full(shape, -1.0, np.float32) for name in (*_NUMBERS, "cost")}
         free = np.zeros(len(CLASS_NAMES), np.int64)
         names = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
-        rule = CostRule(*(float(record["cost"][name]) for name in names))
+        ride, fail, drive, slope = (float(record["cost"][name]) for name in names)
+        rule = CostRule(ride, fail, drive, slope)
         for found in read_tiles(folder / MapFile.TILES, record["counts"]["tiles"]):
             place = _place(found, spot)
             unknown = UNKNOWN_FROM + found["reason"].astype(np.uint8)
