@@ -281,8 +281,7 @@ def _apart(marked: NDArray[np.bool_], reach: float) -> NDArray[np.bool_]:
 
 def window_around(site: MapReader, line: Floats, ring: int) -> TileWindow:
     """Return the tiles that a line, (n, 2) easting and northing [m], spans, and a ring around them."""
-    inner = TileWindow.around(*(site.grid.index(np.array([axis.min(), axis.max()])) for axis in line.T))
-    return inner.grown(ring)
+    return TileWindow.around(*site.grid.index(line).T).grown(ring)
 
 
 def stretches(line: Floats, longest: float) -> Iterator[Floats]:
