@@ -105,6 +105,7 @@ from .products import (
     refuse_present as refuse_present,
     refuse_replacing as refuse_replacing,
     require_folder as require_folder,
+    require_new_file as require_new_file,
     verified_record as verified_record,
 )
 from .route_files import (

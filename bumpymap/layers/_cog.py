@@ -20,7 +20,7 @@ import resource
 import shutil
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import TypeAlias
 from xml.etree import ElementTree as ET
@@ -133,13 +133,6 @@ def _reset_after_fork() -> None:
 os.register_at_fork(after_in_child=_reset_after_fork)
 
 
-@contextmanager
-def _gdal_alone() -> Iterator[None]:
-    """Let GDAL make a raster with its cache as `_GDAL` says, while no other thread does, nor changes the cache."""
-    with raster_lock(), rasterio.Env(**_GDAL):
-        yield
-
-
 def write_cog(
     path: Path,
     placement: Placement,
@@ -170,23 +163,22 @@ def write_cog(
             for part in placement.windows(side, aligned=True)
             if (canvas := paint(part)) is not None
         )
-        if scratch_size <= SMALL:
-            if scratch_size <= _PAINTED_BEFORE:
-                painted = list(painted)
-            with _gdal_alone(), MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
-                for _, canvas in _write_scratch(scratch.name, placement, spec, painted):
-                    _count(canvas, spec, counts)  # no checksum: memory loses nothing
-                painted = ()
-                _convert(scratch.name, layer.name, spec, overviews_first=overviews_first)
-                with rasterio.open(layer.name) as file:
-                    has_side_file = len(file.files) > 1  # such as one with a CRS without GeoTIFF keys
-                if has_side_file:
-                    rasterio.shutil.copyfiles(layer.name, str(temporary))
-                temporary.write_bytes(layer.getbuffer())
-        else:
-            waiting = temporary.with_name(f"{temporary.stem}.scratch.tif")
-            with _gdal_alone():
-                checksums = []
+        if scratch_size <= _PAINTED_BEFORE:
+            painted = list(painted)
+        with raster_lock(), rasterio.Env(**_GDAL):
+            if scratch_size <= SMALL:
+                with MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
+                    for _, canvas in _write_scratch(scratch.name, placement, spec, painted):
+                        _count(canvas, spec, counts)  # no checksum: memory loses nothing
+                    painted = ()
+                    _convert(scratch.name, layer.name, spec, overviews_first=overviews_first)
+                    with rasterio.open(layer.name) as file:
+                        has_side_file = len(file.files) > 1  # such as one with a CRS without GeoTIFF keys
+                    if has_side_file:
+                        rasterio.shutil.copyfiles(layer.name, str(temporary))
+                    temporary.write_bytes(layer.getbuffer())
+            else:
+                waiting, checksums = temporary.with_name(f"{temporary.stem}.scratch.tif"), []
                 for window, canvas in _write_scratch(str(waiting), placement, spec, painted):
                     exact = canvas[-1] if spec.is_photo else canvas  # of a photo the alpha is stored as it is
                     checksums.append((window, checksum(exact)))
@@ -207,16 +199,6 @@ def write_cog(
 
 TILE_WINDOW = 16 * BLOCK_TILES
 """Side of a window of a raster with one pixel a tile, tiles: whole blocks, so that none is read twice."""
-
-
-def write_array(path: Path, placement: Placement, spec: RasterSpec, layers: NDArray[np.generic]) -> None:
-    """Write a COG with one pixel a tile from an array (bands, rows, cols), north row first; see `write_cog`."""
-
-    def paint(window: RasterWindow) -> NDArray[np.generic]:
-        rows = slice(window.line, window.line + window.tiles.rows)
-        return layers[:, rows, window.column : window.column + window.tiles.cols]
-
-    write_cog(path, placement, spec, paint, TILE_WINDOW)
 
 
 def _count(pixels: NDArray[np.generic], spec: RasterSpec, counts: NDArray[np.int64]) -> None:

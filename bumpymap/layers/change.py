@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, Band
-from bumpymap.layers._cog import write_array
+from bumpymap.layers._cog import TILE_WINDOW, write_cog
 from bumpymap.layers.map_reader import MapReader, common_window, open_map, require_written
-from bumpymap.layers.placement import Placement, RasterSpec
+from bumpymap.layers.placement import Placement, RasterSpec, RasterWindow
 from bumpymap.layers.products import MapFile
-from bumpymap.layers.vector import GeoJsonCoordinates, feature, trace_all, write_features
+from bumpymap.layers.vector import GeoJsonCoordinates, feature, trace_labels, write_features
 from bumpytiles import TileWindow
 
 _COMPARED_BANDS = ("c_r", "c_r_low", "c_r_high", "density", "coverage")
@@ -175,12 +175,18 @@ def write_change_raster(field: ChangeField, path: Path) -> None:
         overviews="NEAREST",
         tags={"title": "change between two surveys", "changed": _CHANGED},
     )
-    write_array(path, field.placement, spec, layers)
+
+    def paint(window: RasterWindow) -> NDArray[np.float32]:
+        rows = slice(window.line, window.line + window.tiles.rows)
+        return layers[:, rows, window.column : window.column + window.tiles.cols]
+
+    write_cog(path, field.placement, spec, paint, TILE_WINDOW)
 
 
 def write_change_regions(field: ChangeField, path: Path) -> None:
     """Write change.geojson: RFC 7946 in WGS 84, or the survey's own coordinates without a CRS; one change a feature."""
     place = GeoJsonCoordinates.of(field.placement, local=True)
-    polygons = place.polygons(trace_all(field.area, field.placement.window, len(field.regions)))
-    features = [feature(*each) for each in zip(field.regions, polygons, range(1, len(polygons) + 1), strict=True)]
+    window, numbers = field.placement.window, range(1, len(field.regions) + 1)
+    traced = trace_labels(field.area, window, slice(0, window.rows), numbers) if numbers else np.empty(0, object)
+    features = [feature(*each) for each in zip(field.regions, place.polygons(traced), numbers, strict=True)]
     write_features(path, "change", place, features)

@@ -62,8 +62,7 @@ def place_stretches(stretches: DrivenStretches, ground: MapReader) -> Placement 
     known = points[np.isfinite(points).all(axis=1)]
     if not len(known):
         return None
-    col, row = (ground.grid.index(known[:, axis]) for axis in (0, 1))
-    return Placement(ground.georeference, ground.grid, TileWindow.around(col, row))
+    return Placement(ground.georeference, ground.grid, TileWindow.around(*ground.grid.index(known).T))
 
 
 _DECIMALS = {"way_m": 3, "speed_mps": 3, "start_s": 3, "end_s": 3}

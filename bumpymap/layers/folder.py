@@ -213,12 +213,10 @@ _Number = TypeVar("_Number", np.int64, np.float64)
 
 def box_sum(values: NDArray[_Number], half: int) -> NDArray[_Number]:
     """Return the sum in the square of ``2 * half + 1`` pixels around each pixel, (rows, cols) as ``values``."""
-    for axis in (0, 1):
-        pad = [(half + 1, half) if other == axis else (0, 0) for other in (0, 1)]
-        total = np.cumsum(np.pad(values, pad), axis=axis)
-        size = values.shape[axis]
-        upper, lower = (np.take(total, np.arange(size) + at, axis=axis) for at in (2 * half + 1, 0))
-        values = upper - lower
+    side = 2 * half + 1
+    for _ in range(2):  # down, then across
+        total = np.cumsum(np.pad(values, ((half + 1, half), (0, 0))), axis=0)
+        values = (total[side:] - total[:-side]).T
     return values
 
 
@@ -480,7 +478,7 @@ def write_raster(file: MapFile, table: CostTable, path: Path, about: Mapping[str
             return None
         found = tiles.read(layer.columns, window.tiles)
         values = [found[name] for name in layer.columns] if layer.values is None else layer.values(found, window)
-        line, column = window.pixel_indices(found)
+        line, column = window.tiles.cells(found["col"], found["row"])
         lines, columns = window.tiles.rows, window.tiles.cols
         canvas = np.full((len(spec.bands), lines, pixels, columns, pixels), spec.nodata, spec.dtype)
         for band, value in zip(canvas, values, strict=True):

@@ -453,10 +453,8 @@ def _compare(folder: Path, name: str, size: int, sha256: str) -> None:
 
 def common_window(first: TileWindow, second: TileWindow) -> TileWindow | None:
     """Return the tiles that two windows share; None if there are none."""
-    west, south = max(first.col, second.col), max(first.row, second.row)
-    cols = min(first.col + first.cols, second.col + second.cols) - west
-    rows = min(first.row + first.rows, second.row + second.rows) - south
-    return TileWindow(west, south, cols, rows) if cols > 0 and rows > 0 else None
+    found = first.overlap(second)
+    return found if found.cols > 0 and found.rows > 0 else None
 
 
 def _window_of(folder: Path, name: MapFile, grid: Grid, georeference: Georeference, rasters: KeptRasters) -> TileWindow:

@@ -104,7 +104,7 @@ def tiles_of_photo(table: CostTable, window: RasterWindow, found: Mapping[str, N
     ):
         colours, known = there.read(_COLOURS), there.dataset_mask() > 127
     bytes_ = np.clip(colours >> photo.shift, 1, 255).astype(np.uint8) * known
-    line, column = window.pixel_indices(dict(found))
+    line, column = window.tiles.cells(found["col"], found["row"])
     by_tile = bytes_.reshape(3, window.tiles.rows, pixels, window.tiles.cols, pixels)
     found_there: NDArray[np.uint8] = by_tile.transpose(1, 3, 2, 4, 0)[line, column]
     return found_there

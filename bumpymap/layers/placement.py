@@ -55,10 +55,6 @@ class RasterWindow:
     column: int
     """Raster column of its west edge, in tiles."""
 
-    def pixel_indices(self, found: dict[str, NDArray[np.int64]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return line and column in the window, from its north-west corner, of tiles given by ``row`` and ``col``."""
-        return self.tiles.row + self.tiles.rows - 1 - found["row"], found["col"] - self.tiles.col
-
 
 @dataclass(frozen=True, slots=True)
 class Placement:

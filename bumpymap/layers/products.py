@@ -32,15 +32,28 @@ def require_folder(out: Path) -> None:
         raise OutputError(f"cannot write to the folder {out}: it is a file. Choose another `out`")
 
 
-def refuse_present(folder: Path, names: Sequence[str], *, overwrite: bool, whose: str = "") -> None:
+def require_new_file(path: Path, *, overwrite: bool, option: str = "out") -> None:
+    """Raise OutputError if there is no folder for a file, or one of that name that must not be replaced."""
+    if not path.parent.is_dir():
+        raise OutputError(
+            f"cannot write {path}: there is no folder {path.parent}. Create it, or choose another `{option}`"
+        )
+    if lexists(path) and not overwrite:
+        raise OutputError(f"{path} exists already. Choose another `{option}`, or pass `overwrite=True` to replace it")
+
+
+def refuse_present(
+    folder: Path, names: Sequence[str], *, overwrite: bool, whose: str = "", folders: Collection[str] = ()
+) -> None:
     """Raise OutputError if a folder holds some of the files and they must not, or cannot, be replaced.
 
-    ``whose`` ends their list in the message.
+    ``whose`` ends their list in the message; ``folders``: those of them that are folders.
     """
     present = [name for name in names if lexists(folder / name)]
-    for path in (folder / name for name in present):
-        if not path.is_symlink() and not path.is_file():
-            raise OutputError(f"{path} is not a file, so it cannot be replaced. Choose another `out`")
+    for name in present:
+        path, kind = folder / name, "folder" if name in folders else "file"
+        if not path.is_symlink() and not (path.is_dir() if name in folders else path.is_file()):
+            raise OutputError(f"{path} is not a {kind}, so it cannot be replaced. Choose another `out`")
     if present and not overwrite:
         raise OutputError(
             f"{folder} already holds {', '.join(present)}{whose}. Choose another `out`, or pass `overwrite=True` to "

@@ -73,9 +73,9 @@ def route_coordinates(route: Route) -> GeoJsonCoordinates:
 
 def window_around(route: Route, margin_m: float) -> TileWindow:
     """Return the tiles around line and stops of a route, and ``margin_m`` metres around them."""
-    points, grid = np.concatenate([route.line, route.stops]), route.grid
-    low, high = (grid.index(edge) for edge in (points.min(axis=0) - margin_m, points.max(axis=0) + margin_m))
-    return TileWindow.around(np.array([low[0], high[0]]), np.array([low[1], high[1]]))
+    points = np.concatenate([route.line, route.stops])
+    edges = np.array([points.min(axis=0) - margin_m, points.max(axis=0) + margin_m])
+    return TileWindow.around(*route.grid.index(edges).T)
 
 
 def write_route_geojson(route: Route, path: Path) -> None:

@@ -211,8 +211,6 @@ def _lonlat(
     path: Path, crs: CRS, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Convert to WGS 84 longitude and latitude."""
-    if crs.equals(CRS.from_epsg(4326), ignore_axis_order=True):
-        return x, y
     try:
         longitude, latitude = Transformer.from_crs(crs, CRS.from_epsg(4326), always_xy=True).transform(x, y)
     except ProjError as error:

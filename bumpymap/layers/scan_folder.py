@@ -11,7 +11,6 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, replace
-from os.path import lexists
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,7 +41,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.manifest import describe_file, describe_input, software_versions, write_manifest
-from bumpymap.layers.products import EVERY_FILE, make_folder
+from bumpymap.layers.products import EVERY_FILE, make_folder, refuse_present
 from bumpymap.layers.tile_table import described_field, typed_array
 
 SCAN_CLASS_NAMES: tuple[str, ...] = (*CLASS_NAMES[:CLASSES], "not traversable")
@@ -260,23 +259,13 @@ def check_scan_folder(folder: Path, inputs: Iterable[Path] = (), *, overwrite: b
     if inside is not None:
         raise OutputError(f"{inside} is an input of this run, and the output would replace it. Choose another `out`")
     make_folder(folder)
-    present = [name for name in _NAMES if lexists(folder / name)]
-    if present and not (overwrite or unfinished):
-        raise OutputError(
-            f"{folder} already holds {', '.join(present)}. Choose another `out`, or pass `overwrite=True` to replace "
-            "them"
-        )
-    for name in present:
-        is_link = (folder / name).is_symlink()
-        if not is_link and (folder / name).is_dir() != (name in {FRAME_FOLDER, MAP_FOLDER}):
-            raise OutputError(f"{folder / name} is not what a scan run writes. Choose another `out`")
+    refuse_present(folder, _NAMES, overwrite=overwrite or unfinished, folders=(FRAME_FOLDER, MAP_FOLDER))
     frames = folder / FRAME_FOLDER
-    foreign: Path | None = None
-    if frames.is_dir() and not frames.is_symlink():
-        is_ours = unfinished or (folder / SCAN_MANIFEST_NAME).exists()
-        others = (path for path in sorted(frames.iterdir()) if path.suffix not in FRAME_FILES.values())
-        foreign = next(others, None) if is_ours else frames
-    if foreign:
+    if not frames.is_dir() or frames.is_symlink():
+        return
+    is_ours = unfinished or (folder / SCAN_MANIFEST_NAME).exists()
+    others = (path for path in sorted(frames.iterdir()) if path.suffix not in FRAME_FILES.values())
+    if foreign := next(others, None) if is_ours else frames:
         raise OutputError(
             f"{foreign} was not written by a complete scan run and would be deleted by `overwrite=True`. Move it away, "
             "or choose another `out`"
@@ -291,8 +280,7 @@ def present_products(folder: Path) -> tuple[str, ...]:
 def move_products(staged: Path, out: Path) -> tuple[str, ...]:
     """Move all products from ``staged`` to ``out``; return their names. Those of an earlier run go, with its map."""
     with ThreadPoolExecutor(8) as pool:  # several at a time: the disk writes them in an order of its own
-        for _ in pool.map(sync_file, (path for path in staged.rglob("*") if path.is_file())):
-            pass
+        list(pool.map(sync_file, (path for path in staged.rglob("*") if path.is_file())))
     files, is_link = present_products(staged), (out / MAP_FOLDER).is_symlink()
     of_map = [MAP_FOLDER] if is_link else [f"{MAP_FOLDER}/{name}" for name in EVERY_FILE]
     move_together(staged, out, SCAN_MANIFEST_NAME, (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, *of_map))

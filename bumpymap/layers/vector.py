@@ -95,11 +95,6 @@ def trace_labels(
     return outlines
 
 
-def trace_all(labels: NDArray[np.int32], window: TileWindow, count: int) -> NDArray[np.object_]:
-    """Trace the outlines of the areas 1 to ``count`` of a window; see `trace_labels`."""
-    return trace_labels(labels, window, slice(0, window.rows), range(1, count + 1)) if count else np.empty(0, object)
-
-
 def _follow(
     points: NDArray[np.int64], sizes: NDArray[np.int64], corners: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -244,7 +239,7 @@ def _region_keys(table: CostTable, window: RasterWindow) -> NDArray[np.int64]:
         part = np.where(found["barred"] == 0, found["zone"].astype(np.int64) * _ZONE, _IMPASSABLE)
         known = part + found["class_id"] + 1
         key = np.where(found["class_id"] == NO_CLASS, _UNKNOWN + found["reason"], known)
-        keys[RasterWindow(around, window.line - 1, window.column - 1).pixel_indices(found)] = key
+        keys[around.cells(found["col"], found["row"])] = key
     for edge in (keys[0], keys[-1], keys[1:-1, 0], keys[1:-1, -1]):
         edge[edge > 0] += _OTHER_WINDOW
     return keys
@@ -258,7 +253,7 @@ def _sum_values(table: CostTable, window: RasterWindow, labels: NDArray[np.int32
     totals = np.zeros((len(_VALUES) + 1, count))
     for strip in table.tiles.strips(_STRIP, window.tiles):
         found = table.tiles.read(_VALUES, strip)
-        area = labels[window.pixel_indices(found)] - 1
+        area = labels[window.tiles.cells(found["col"], found["row"])] - 1
         values = [*(found[name] for name in _VALUES), table.rule.hazard(found["p_fail"]).astype(np.float32)]
         for total, own in zip(totals, values, strict=True):
             np.add.at(total, area, own.astype(np.float64))

@@ -24,7 +24,6 @@ from bumpymap.route.search import (
     BYTES_PER_TILE,
     BYTES_PER_TILE_BY_SLOPE,
     Costs,
-    as_cost,
     find_way,
     is_clear,
 )
@@ -115,7 +114,7 @@ class CostGround:
         gradient, pixels = self.site.gradient(window), len(cost) // window.rows
         gradient = np.repeat(np.repeat(gradient, pixels, 0), pixels, 1) if pixels > 1 else gradient
         steepest = settings.steepest if barred else math.inf
-        return Costs(as_cost(cost), gradient, settings.climb, settings.descent, settings.side_slope, steepest)
+        return Costs(cost, gradient, settings.climb, settings.descent, settings.side_slope, steepest)
 
     def on_tiles(self, window: TileWindow, *, through: bool = True) -> NDArray[np.float32]:
         """Return the cost per metre of each tile, (rows, cols), infinite where closed.
@@ -167,11 +166,7 @@ class CostGround:
         """Return the cost per metre on each pixel, (rows * pixels, cols * pixels); inf where the vehicle cannot be."""
         pixels = self.site.grid.pixels
         out = np.repeat(np.repeat(self.on_tiles(window), pixels, 0), pixels, 1)
-        free = self._free(window, np.isinf(out))
-        if self.touching:
-            out[~free] *= np.float32(TOUCHING)
-        else:
-            out[~free] = np.inf
+        out[~self._free(window, np.isinf(out))] *= np.float32(TOUCHING if self.touching else np.inf)
         return out
 
     def with_room(self, cost: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -221,11 +216,9 @@ class CostGround:
 
     def is_clear(self, line: Floats) -> bool:
         """Say whether the vehicle fits on all of a line, (n, 2) easting and northing [m]."""
-        for part in stretches(line, _STRETCH_TILES * self.site.grid.tile_size):
-            window = window_around(self.site, part, 1)
-            if not self.is_clear_in(window, self.on_pixels(window), part):
-                return False
-        return True
+        parts = stretches(line, _STRETCH_TILES * self.site.grid.tile_size)
+        around = ((window_around(self.site, part, 1), part) for part in parts)
+        return all(self.is_clear_in(window, self.on_pixels(window), part) for window, part in around)
 
     def is_clear_in(
         self, window: TileWindow, cost: NDArray[np.float32], line: Floats, *, with_room: bool = False
@@ -288,8 +281,7 @@ def _apart(marked: NDArray[np.bool_], reach: float) -> NDArray[np.bool_]:
 
 def window_around(site: MapReader, line: Floats, ring: int) -> TileWindow:
     """Return the tiles that a line, (n, 2) easting and northing [m], spans, and a ring around them."""
-    inner = TileWindow.around(*(site.grid.index(np.array([axis.min(), axis.max()])) for axis in line.T))
-    return inner.grown(ring)
+    return TileWindow.around(*site.grid.index(line).T).grown(ring)
 
 
 def stretches(line: Floats, longest: float) -> Iterator[Floats]:

@@ -3,14 +3,13 @@
 import logging
 from collections.abc import Callable, Mapping
 from functools import partial
-from os.path import lexists
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import OutputError, Route, StraightLine, UsageError
+from bumpymap.core import Route, StraightLine, UsageError
 from bumpymap.layers import (
     MANIFEST_NAME,
     OTHER_FILES,
@@ -22,6 +21,7 @@ from bumpymap.layers import (
     describe_file,
     refuse_present,
     require_folder,
+    require_new_file,
     route_coordinates,
     route_properties,
     software_versions,
@@ -57,12 +57,7 @@ def check_out(out: Path, *, overwrite: bool) -> str | None:
     """
     suffix, is_folder = out.suffix.lower(), out.is_dir()
     if suffix in ROUTE_KINDS and (not is_folder or out.is_symlink()):
-        if not out.parent.is_dir():
-            raise OutputError(
-                f"cannot write {out}: there is no folder {out.parent}. Create it, or choose another `out`"
-            )
-        if lexists(out) and not overwrite:
-            raise OutputError(f"{out} exists. Choose another `out`, or pass `overwrite=True` to replace it")
+        require_new_file(out, overwrite=overwrite)
         return ROUTE_KINDS[suffix]
     if suffix in OTHER_FILES and not is_folder:
         raise UsageError(

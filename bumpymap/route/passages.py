@@ -18,7 +18,7 @@ from scipy.sparse import csgraph
 
 from bumpymap.core import Floats, slope_cost
 from bumpymap.route.ground import CostGround, points_along, window_around
-from bumpymap.route.places import on_grid, overlap
+from bumpymap.route.places import on_grid
 from bumpytiles import TileWindow
 
 _PAD_TILES, _PAD_SHARE = 24, 0.25
@@ -29,10 +29,6 @@ _SECTION_TILES, _AROUND_TILES = 96, 12
 """Longest path that is searched at once, and margin around a section of a longer one, tiles (chosen)."""
 _TINY = 1e-9
 """Least cost of an arc: sparse graphs take 0 for none."""
-_CHEAPER, _CORNER_TILES = 0.97, 2.0
-"""Paths go straight from middle to middle of areas up to three arcs apart, and so cut corners. One takes the place of a
-way over whole tiles only if it costs less than this share of it, with that length added for a corner, tiles
-(chosen)."""
 BYTES_PER_TILE = 7000
 """Memory that the graph takes."""
 
@@ -64,7 +60,7 @@ def way_over_areas(ground: CostGround, start: Floats, goal: Floats) -> Floats | 
     ends = np.array([start, goal])
     pad = first_pad(ground, start, goal)
     while True:
-        window = overlap(window_around(ground.site, ends, pad), ground.site.window)
+        window = ground.site.window.overlap(window_around(ground.site, ends, pad))
         if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:
             return None
         graph = _graph(ground, window)
@@ -194,7 +190,7 @@ def _on_pixels(
             rows, cols = np.nonzero(corridor)
             part = TileWindow.around(window.col + cols, window.row + window.rows - 1 - rows)
         else:
-            part = overlap(window_around(ground.site, np.array(ends), _AROUND_TILES), window)
+            part = window.overlap(window_around(ground.site, np.array(ends), _AROUND_TILES))
         cost = ground.with_room(ground.on_pixels(part))
         top, left = window.row + window.rows - part.row - part.rows, part.col - window.col
         kept = corridor[top : top + part.rows, left : left + part.cols]

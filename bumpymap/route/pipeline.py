@@ -6,12 +6,12 @@ subsets: Held and Karp 1962), plan the ways, measure them, write them.
 
 import logging
 import os
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations, pairwise
 from pathlib import Path
-from typing import Any, TypeAlias, TypedDict, Unpack
+from typing import TypeAlias, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,20 +152,15 @@ def find_routes(
     """
     if isinstance(via, str) or not isinstance(via, Iterable):
         raise UsageError(f"via is {short_repr(via)}; give a list of points, such as [(512350.5, 5403300.5)]")
-    checked = _settings(settings, "find_routes", RouteSettings.__annotations__)
+    refuse_unknown(settings, RouteSettings.__annotations__, "find_routes")
+    of_cost = {name: value for name, value in settings.items() if name in CostSettings.__dataclass_fields__}
+    others = {name: value for name, value in settings.items() if name not in of_cost}
+    checked = settings_of_call(others, RouteConfig, "find_routes")
+    checked |= {"cost": CostSettings(**settings_of_call(of_cost, CostSettings, "find_routes"))}
     checked |= {"start": _text("start", start), "goal": _text("goal", goal), "via": tuple(_text("via", p) for p in via)}
     target = None if out is None else Path(path_of_call("out", out))
     config = RouteConfig(layers=Path(path_of_call("layers", layers)), out=target, **checked)
     return [plan_routes(config).route]
-
-
-def _settings(settings: Mapping[str, Any], function: str, known: Collection[str]) -> dict[str, Any]:
-    """Check the settings of a call; those of the cost become one."""
-    refuse_unknown(settings, known, function)
-    of_cost = {name: value for name, value in settings.items() if name in CostSettings.__dataclass_fields__}
-    others = {name: value for name, value in settings.items() if name not in of_cost}
-    cost = CostSettings(**settings_of_call(of_cost, CostSettings, function))
-    return {**settings_of_call(others, RouteConfig, function), "cost": cost}
 
 
 def _text(name: str, point: Point) -> str:

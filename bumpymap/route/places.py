@@ -50,13 +50,7 @@ def parse_point(text: str, route_map: MapReader, *, beyond_m: float = 0.0) -> Gr
 
 
 def place_point(
-    x: float,
-    y: float,
-    route_map: MapReader,
-    system: System | None = None,
-    *,
-    name: str = "the point",
-    beyond_m: float = 0.0,
+    x: float, y: float, route_map: MapReader, system: System | None, *, name: str, beyond_m: float
 ) -> GridPoint:
     """Return the point on the grid of a coordinate pair.
 
@@ -106,14 +100,6 @@ def on_grid(places: NDArray[np.float64], grid: Grid, window: TileWindow) -> NDAr
     return np.column_stack([window.col + places[:, 1], window.row + window.rows - places[:, 0]]) * grid.tile_size
 
 
-def overlap(one: TileWindow, other: TileWindow) -> TileWindow:
-    """Return the tiles that two windows have in common."""
-    west, south = max(one.col, other.col), max(one.row, other.row)
-    east = min(one.col + one.cols, other.col + other.cols)
-    north = min(one.row + one.rows, other.row + other.rows)
-    return TileWindow(west, south, east - west, north - south)
-
-
 def window_within(whole: TileWindow, start: NDArray[np.float64], reach: float) -> TileWindow:
     """Return the part of a map within a distance of a place, tiles east and north of the grid's origin."""
     west = max(whole.col, math.floor(start[0] - reach))
@@ -148,13 +134,11 @@ def _outside_m(point: GridPoint, route_map: MapReader) -> float:
 def extent_text(route_map: MapReader) -> str:
     """Say what a map spans, in its CRS and in longitude and latitude, for messages."""
     bounds = route_map.grid.window_bounds(route_map.window)
-    (west, south), (east, north) = (
-        route_map.to_crs(*corner) for corner in ((bounds.west, bounds.south), (bounds.east, bounds.north))
-    )
-    crs = route_map.georeference.crs
+    crs, unit = route_map.georeference.crs, route_map.georeference.metres_per_unit
+    west, south, east, north = (side / unit for side in (bounds.west, bounds.south, bounds.east, bounds.north))
     system = "in local coordinates" if crs is None else f"in {describe_crs(crs.to_2d())}"
-    if route_map.georeference.metres_per_unit != 1.0:
-        system += f" (unit: {unit_name(route_map.georeference.metres_per_unit)}; lengths in options are metres)"
+    if unit != 1.0:
+        system += f" (unit: {unit_name(unit)}; lengths in options are metres)"
     text = f"x {west:.2f} to {east:.2f}, y {south:.2f} to {north:.2f} {system}"
     if crs is None:
         return text

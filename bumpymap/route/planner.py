@@ -25,7 +25,7 @@ from bumpymap.core import BARRED_TEXT, CLOSED_IN_PART, OBSTACLE, Barred, Floats,
 from bumpymap.layers import STEP_LINE
 from bumpymap.route.ground import PIXEL_MARGIN, CostGround, sample_line, window_around
 from bumpymap.route.measure import MeasuredWay, measure_way, way_cost
-from bumpymap.route.places import on_grid, overlap, place_in_window
+from bumpymap.route.places import on_grid, place_in_window
 from bumpymap.route.search import REACH, Found, find_way, seek, settle_point, spread, tight_way
 from bumpymap.route.stops import place_text
 from bumpymap.views import area
@@ -86,7 +86,7 @@ def _grown(window: TileWindow, sides: list[bool], pad: int, extent: TileWindow, 
         wider = TileWindow(
             window.col - west, window.row - south, window.cols + west + east, window.rows + north + south
         )
-        grown = overlap(wider, extent)
+        grown = extent.overlap(wider)
         tiles = grown.rows * grown.cols
         if tiles <= memory_tiles:
             return grown
@@ -259,7 +259,7 @@ def what_closes(ground: CostGround, start: Floats, goal: Floats) -> str:
     ends = [place_in_window(end, grid, window) for end in (start, goal)]
     for through in (False, True):  # a point between obstacles lies in a tile that is closed as a whole
         cost = ground.on_tiles(window, through=through)
-        first, second = (np.isfinite(spread(cost, end, margin=ground.margin)[0]) for end in ends)
+        first, second = (np.isfinite(spread(cost, end, ground.margin)) for end in ends)
         if first.any() and second.any():
             break
     else:
@@ -324,7 +324,7 @@ def widest_opening(ground: CostGround, start: Floats, goal: Floats) -> tuple[Flo
     from bumpymap.route.passages import BYTES_PER_TILE, first_pad
 
     pad = first_pad(ground, start, goal)
-    window = overlap(window_around(ground.site, np.array([start, goal]), pad), ground.site.window)
+    window = ground.site.window.overlap(window_around(ground.site, np.array([start, goal]), pad))
     if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:
         return None
     pixels, pixel = ground.site.grid.pixels, ground.site.grid.pixel_size

@@ -87,24 +87,30 @@ Point kept_by(Point a, double dr, double dc) {
     return {dr == 0.0 ? a.r : none, dc == 0.0 ? a.c : none};
 }
 
+// The tile, along one axis, that a line enters when it leaves `a` in the direction of `delta`.
+Index first_tile(double a, double delta) {
+    const double tile = std::floor(a);
+    return static_cast<Index>(tile) - (delta < 0.0 && tile == a);
+}
+
+// The share of a line after which it leaves the tile, along one axis; large if never.
+double crossing(double a, double delta, Index tile) {
+    return delta == 0.0 ? 2.0 : (static_cast<double>(tile + (delta > 0.0)) - a) / delta;
+}
+
 // The exact integral of the cost along a segment; infinite as soon as it passes `limit`. Where the segment runs along a
 // border, the dearer of both tiles counts.
 double segment_cost(const Costs& cost, Point a, Point b, double limit) {
     const double dr = b.r - a.r, dc = b.c - a.c, length = std::sqrt(dr * dr + dc * dc);
     const Heading heading = heading_of(dr, dc, length);
-    double north = std::floor(a.r), west = std::floor(a.c);
-    if (dr < 0.0 && north == a.r) north -= 1.0;
-    if (dc < 0.0 && west == a.c) west -= 1.0;
-    Index row = static_cast<Index>(north), col = static_cast<Index>(west);
+    Index row = first_tile(a.r, dr), col = first_tile(a.c, dc);
+    const double north = static_cast<double>(row), west = static_cast<double>(col);
     const bool keeps = dr == 0.0 || dc == 0.0;
     if (north <= b.r && b.r <= north + 1.0 && west <= b.c && b.c <= west + 1.0 && !keeps) {  // all in one tile
         const double total = length > sliver ? length * cost.of(heading, row, col) : 0.0;
         return total <= limit ? total : infinite;
     }
-    const Index down = dr > 0.0 ? 1 : -1, right = dc > 0.0 ? 1 : -1;
-    double r_edge = north + (dr > 0.0), c_edge = west + (dc > 0.0);
-    double next_r = dr != 0.0 ? (r_edge - a.r) / dr : 2.0, next_c = dc != 0.0 ? (c_edge - a.c) / dc : 2.0;
-    double total = 0.0, t = 0.0;
+    double next_r = crossing(a.r, dr, row), next_c = crossing(a.c, dc, col), total = 0.0, t = 0.0;
     while (true) {
         const double end = std::min({next_r, next_c, 1.0}), piece = (end - t) * length;
         if (piece > sliver) {
@@ -115,14 +121,12 @@ double segment_cost(const Costs& cost, Point a, Point b, double limit) {
         }
         if (end >= 1.0) return total;
         if (next_r <= end) {
-            row += down;
-            r_edge += static_cast<double>(down);
-            next_r = (r_edge - a.r) / dr;
+            row += dr > 0.0 ? 1 : -1;
+            next_r = crossing(a.r, dr, row);
         }
         if (next_c <= end) {
-            col += right;
-            c_edge += static_cast<double>(right);
-            next_c = (c_edge - a.c) / dc;
+            col += dc > 0.0 ? 1 : -1;
+            next_c = crossing(a.c, dc, col);
         }
         t = std::max(t, end);
     }
@@ -137,9 +141,9 @@ double to_tile(Point a, Index row, Index col) {
 }
 
 // Narrows the shares [first, last] of a segment to those between two borders of an axis; false where none is.
-bool clip(double a, double delta, double low, double& first, double& last) {
-    if (delta == 0.0) return a >= low && a <= low + 1.0;
-    const double t0 = (low - a) / delta, t1 = (low + 1.0 - a) / delta;
+bool clip(double a, double delta, double low, double high, double& first, double& last) {
+    if (delta == 0.0) return a >= low && a <= high;
+    const double t0 = (low - a) / delta, t1 = (high - a) / delta;
     first = std::max(first, std::min(t0, t1));
     last = std::min(last, std::max(t0, t1));
     return true;
@@ -150,7 +154,8 @@ double gap(Point a, Point b, Index row, Index col) {
     const double north = static_cast<double>(row), west = static_cast<double>(col);
     const double dr = b.r - a.r, dc = b.c - a.c;
     double first = 0.0, last = 1.0;
-    if (clip(a.r, dr, north, first, last) && clip(a.c, dc, west, first, last) && first <= last) return 0.0;
+    const bool meets = clip(a.r, dr, north, north + 1.0, first, last) && clip(a.c, dc, west, west + 1.0, first, last);
+    if (meets && first <= last) return 0.0;
     const double square = dr * dr + dc * dc;
     double least = std::min(to_tile(a, row, col), to_tile(b, row, col));
     if (square == 0.0) return least;
@@ -175,13 +180,9 @@ bool segment_clear(const Costs& cost, Point a, Point b, double margin, int ends)
     const auto tile = [](double place) { return static_cast<Index>(std::floor(place)); };
     const Index south = tile(std::max(a.r, b.r) + margin);
     for (Index row = tile(std::min(a.r, b.r) - margin); row <= south; ++row) {
+        const double r = static_cast<double>(row);
         double first = 0.0, last = 1.0;
-        if (dr != 0.0) {
-            const double r = static_cast<double>(row);
-            const double t0 = (r - margin - a.r) / dr, t1 = (r + 1.0 + margin - a.r) / dr;
-            first = std::max(0.0, std::min(t0, t1));
-            last = std::min(1.0, std::max(t0, t1));
-        }
+        clip(a.r, dr, r - margin, r + 1.0 + margin, first, last);
         const double c0 = a.c + first * dc, c1 = a.c + last * dc;
         const Index east = tile(std::max(c0, c1) + margin);
         for (Index col = tile(std::min(c0, c1) - margin); col <= east; ++col) {
@@ -234,17 +235,6 @@ bool check_clear(Costs cost, Array<const double, 2> points, double margin) {
         if (!(segment_cost(cost, a, b, infinite) < infinite)) return false;
     }
     return true;
-}
-
-// The tile, along one axis, that a line enters when it leaves `a` in the direction of `delta`.
-Index first_tile(double a, double delta) {
-    const double tile = std::floor(a);
-    return static_cast<Index>(tile) - (delta < 0.0 && tile == a);
-}
-
-// The share of a line after which it leaves the tile, along one axis; large if never.
-double crossing(double a, double delta, Index tile) {
-    return delta == 0.0 ? 2.0 : (static_cast<double>(tile + (delta > 0.0)) - a) / delta;
 }
 
 // Cuts a line at the borders of tiles, into the pieces that `segment_cost` sums; returns their number.
@@ -304,22 +294,16 @@ void choose(
 Index leave_out(Costs cost, double margin, double worth, Array<double, 2> points, Index skips) {
     Index n = 0, count = points.shape[0];
     std::vector<double> best(count);
-    std::vector<Index> before(count);
+    std::vector<Index> before(count), kept;
     while (n != count) {
         n = count;
-        count = 1;
         choose(cost, margin, worth, points, n, skips, best, before);
-        Index at = n - 1;
-        while (at > 0) {  // turn the links round: from each corner that stays to the next one
-            const Index previous = before[at];
-            best[previous] = static_cast<double>(at);
-            at = previous;
-            ++count;
-        }
-        for (Index k = 0; k < count; ++k) {
-            points(k, 0) = points(at, 0);
-            points(k, 1) = points(at, 1);
-            at = k < count - 1 ? static_cast<Index>(best[at]) : 0;
+        kept.clear();
+        for (Index at = n - 1; at > 0; at = before[at]) kept.push_back(at);
+        count = 1;  // the first corner stays
+        for (auto at = kept.rbegin(); at != kept.rend(); ++at, ++count) {
+            points(count, 0) = points(*at, 0);
+            points(count, 1) = points(*at, 1);
         }
     }
     return count;

@@ -70,19 +70,17 @@ _WIDER = 1.05
 """Margin of a search as a multiple of that of the line (chosen)."""
 
 
-def as_cost(cost: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return costs as loops take them; raises ValueError unless they are (rows, cols)."""
-    if cost.ndim != 2:
-        raise ValueError(f"cost has the shape {cost.shape}; it must be rows and columns")
-    return np.ascontiguousarray(cost, np.float32)
-
-
 def as_costs(cost: NDArray[np.floating] | Costs) -> Costs:
-    """Return costs with what slopes add, nothing unless they have it, as loops take them; see `as_cost`."""
+    """Return costs as loops take them, with what slopes add, nothing unless they have it.
+
+    Raises ValueError unless they are (rows, cols).
+    """
+    tiles = np.ascontiguousarray(cost.tiles if isinstance(cost, Costs) else cost, np.float32)
+    if tiles.ndim != 2:
+        raise ValueError(f"cost has the shape {tiles.shape}; it must be rows and columns")
     if isinstance(cost, Costs):
-        tiles, gradient = as_cost(cost.tiles), np.ascontiguousarray(cost.gradient, np.float32)
-        return cost._replace(tiles=tiles, gradient=gradient)
-    return Costs(as_cost(cost), np.empty((0, 0, 2), np.float32), 0.0, 0.0, 0.0, math.inf)
+        return cost._replace(tiles=tiles, gradient=np.ascontiguousarray(cost.gradient, np.float32))
+    return Costs(tiles, np.empty((0, 0, 2), np.float32), 0.0, 0.0, 0.0, math.inf)
 
 
 def as_margin(margin: float) -> float:
@@ -225,10 +223,8 @@ def _with_new_corners(line: Floats) -> Floats:
 
 Integers = NDArray[np.int64]
 
-FROM_START = 254
-"""In place of a move: straight from the start."""
 NOT_REACHED = 255
-"""In place of a move: no way leads there."""
+"""In place of a move: no way leads there; 254: straight from the start."""
 REACH = 4
 """Tiles that a move goes at most, along each axis."""
 MOVES: NDArray[np.int64] = np.array(
@@ -278,8 +274,11 @@ class Ground(NamedTuple):
 
 
 @cache
-def traced_moves(margin: float) -> tuple[MoveTables, NDArray[np.int64]]:
-    """Trace every move; also return the tiles between their ends, (n, 2) from where each starts."""
+def _traced_moves(margin: float) -> tuple[MoveTables, NDArray[np.int64]]:
+    """Trace every move; also return the tiles between their ends, (n, 2) from where each starts.
+
+    ``margin``: distance that a way keeps from closed tiles, tiles. Steps of a flattened window are filled in later.
+    """
     middle = REACH + 0.5
     open_ground = np.ones((2 * REACH + 1, 2 * REACH + 1), np.float32)
     # First and last piece are as long as each other, and in tables of their own.
@@ -299,17 +298,6 @@ def traced_moves(margin: float) -> tuple[MoveTables, NDArray[np.int64]]:
         near_south=near[:, :REACH:-1].reshape(len(near), -1) @ bits[: -len(open_ground)],
     )
     return tables, np.concatenate([np.column_stack([each.row, each.col])[1:-1] for each in traced]) - REACH
-
-
-def move_tables(width: int, margin: float) -> MoveTables:
-    """Make the tables of the moves for a window.
-
-    ``width``: columns of the window, flattened row by row; ``margin``: distance that a way keeps from closed tiles,
-    tiles.
-    """
-    tables, tiles = traced_moves(margin)
-    flat = np.array([width, 1])
-    return tables._replace(step=MOVES @ flat, piece=tiles @ flat)
 
 
 Point = tuple[float, float]
@@ -399,7 +387,7 @@ _NEARLY = 1.0 - 1e-9
 
 _Reached = tuple[Floats, NDArray[np.uint8], NDArray[np.bool_]]
 """(n,) cost from the start of each tile of a flattened window with its ring, infinite if it is not reached; the move
-that led there, `FROM_START` or `NOT_REACHED`; whether its cost is final."""
+that led there, or `NOT_REACHED`; whether its cost is final."""
 
 
 def _search(
@@ -446,7 +434,10 @@ def _search(
     first = (math.floor(start[0]) + REACH) * width + math.floor(start[1]) + REACH
     ground = Ground(ringed, closed, first, *end, least, min(least if least < math.inf else 1.0, bound))
     reached = np.full(count, math.inf), np.full(count, NOT_REACHED, np.uint8), np.zeros(count, np.bool_)
-    found = loops.search_ways(ground, move_tables(width, margin), enter, leave, known, *reached)
+    tables, crossed = _traced_moves(margin)
+    flat = np.array([width, 1])
+    moves = tables._replace(step=MOVES @ flat, piece=crossed @ flat)
+    found = loops.search_ways(ground, moves, enter, leave, known, *reached)
     return reached, found, lambda values: values.reshape(rows, width)[inner]
 
 
@@ -545,22 +536,18 @@ def seek(
     return Found(line, settled, frame, ground)
 
 
-def spread(
-    cost: NDArray[np.floating] | Costs, start: Point, *, margin: float = 0.0
-) -> tuple[Floats, NDArray[np.uint8]]:  # fmt: skip
-    """Find what every tile costs to reach.
+def spread(cost: NDArray[np.floating] | Costs, start: Point, margin: float) -> Floats:
+    """Return what every tile costs to reach: the cheapest way by moves to its middle, (rows, cols) tiles.
 
-    ``cost``, ``start``, ``margin`` and errors as of `find_way`. Returns the cost of the cheapest way by moves to the
-    middle of each tile, (rows, cols) tiles, infinite if there is none; and the move of `MOVES` that led there, (rows,
-    cols): `FROM_START` if straight from the start, `NOT_REACHED` if there is no way (none leads anywhere from a closed
-    tile).
+    ``cost``, ``start``, ``margin`` and errors as of `find_way`. Infinite where no way leads (none leads anywhere from a
+    closed tile).
     """
-    (g, back, _), _, inner = _search(as_costs(cost), settle_point(start), None, margin, 0.0)
-    return np.ascontiguousarray(inner(g)), np.ascontiguousarray(inner(back))
+    (g, _, _), _, inner = _search(as_costs(cost), settle_point(start), None, margin, 0.0)
+    return inner(g)
 
 
 def follow_back(back: NDArray[np.uint8], row: int, col: int) -> Floats:
-    """Follow the moves of `spread` from a tile that has been reached back to the start.
+    """Follow the moves of a search from a tile that has been reached back to the start.
 
     Returns field coordinates of the middles of its tiles, (n, 2), the given one first; the start itself is not among
     them. Moves that follow each other in one direction are one.

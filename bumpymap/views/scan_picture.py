@@ -135,11 +135,9 @@ def _draw_robot(draw: ImageDraw.ImageDraw, column: int, row: int) -> None:
 def _draw_legend(draw: ImageDraw.ImageDraw, scan: Scan, classed: ClassedSectors, step: float) -> None:
     stack = classed.sectors
     counts = np.bincount(class_index(classed), minlength=CLASSES + 1).tolist()
+    classes = zip(SCAN_CLASS_NAMES, counts[:-1], strict=False)
     entries = [
-        *(
-            (f"{name} ground", f"sectors: {count:,}")
-            for name, count in zip(SCAN_CLASS_NAMES, counts[:-1], strict=False)
-        ),
+        *((f"{name} ground", f"sectors: {count:,}") for name, count in classes),
         ("obstacle", f"hatched sectors: {int(stack.obstacle.sum()):,}"),
         ("not ground", f"sectors without ground: {counts[-1]:,}"),
     ]

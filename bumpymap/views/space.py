@@ -5,7 +5,6 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from ctypes.util import find_library
-from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -139,6 +138,8 @@ def _render(open3d: Any, drawn: list[Any], space: Space) -> Any:
 
 def space_of(reader: MapReader, route: Path | None = None) -> Space:
     """Return what is drawn of a map, and of the ways of a route over it."""
+    import shapely
+
     bounds, grid = reader.grid.window_bounds(reader.window), reader.grid
     wide, high = bounds.east - bounds.west, bounds.north - bounds.south
     metres = max(grid.pixel_size, max(wide, high) / _MOST_SIDE)
@@ -161,13 +162,15 @@ def space_of(reader: MapReader, route: Path | None = None) -> Space:
     north = bounds.north - (np.arange(rows) + 0.5) * high / rows
     x, y = (axis.ravel() for axis in np.meshgrid(east, north))
     vertices = np.column_stack([x, y, filled.ravel()]) - middle
-    ways = () if route is None else chain.from_iterable(way.lines for way in read_ways(route, reader.manifest))
+    lines = [] if route is None else [line for way in read_ways(route, reader.manifest) for line in way.lines]
+    # With corners at most so far apart a way follows the relief.
+    ways = (shapely.get_coordinates(shapely.segmentize(shapely.linestrings(line), 2 * metres)) for line in lines)
     return Space(
         vertices,
         painted(reader, heights).reshape(-1, 3) / 255.0,
         triangles,
         _obstacles(reader, placed),
-        tuple(placed(line[:, 0], line[:, 1], _ABOVE_M) for line in (_dense(line, metres) for line in ways)),
+        tuple(placed(way[:, 0], way[:, 1], _ABOVE_M) for way in ways),
     )
 
 
@@ -229,13 +232,6 @@ def _filled(heights: Floats) -> Floats:
         heights = heights.copy()
         heights[near] = total[near] / count[near] + base
     return heights
-
-
-def _dense(line: Floats, metres: float) -> Floats:
-    """Return a line, (n, 2), with corners at most so far apart that it follows the relief."""
-    import shapely
-
-    return np.asarray(shapely.get_coordinates(shapely.segmentize(shapely.linestrings(line), 2 * metres)), np.float64)
 
 
 def _obstacles(reader: MapReader, placed: Callable[[Numbers, Numbers, Numbers], Floats]) -> Floats:

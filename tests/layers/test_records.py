@@ -642,7 +642,7 @@ def fill(folder, *names):
         (["scan.json", "frames/a.png"], False, r"already holds .*`overwrite=True`"),
         (["frames/a.png"], True, "frames was not written by a complete scan run"),
         (["scan.json", "frames/notes.txt"], True, r"notes\.txt was not written by a complete scan run"),
-        *([[name], True, "not what a scan run writes"] for name in ("frames", "scan.json/a")),
+        *([[name], True, "so it cannot be replaced"] for name in ("frames", "scan.json/a")),
     ],
 )
 def test_a_folder_that_holds_something_else_or_an_earlier_run_is_refused(tmp_path, files, overwrite, words):

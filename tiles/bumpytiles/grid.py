@@ -50,6 +50,13 @@ class TileWindow:
         """Return the window with ``ring`` more tiles on each side."""
         return TileWindow(self.col - ring, self.row - ring, self.cols + 2 * ring, self.rows + 2 * ring)
 
+    def overlap(self, other: "TileWindow") -> "TileWindow":
+        """Return the tiles that two windows share; if there are none, ``cols`` or ``rows`` is not positive."""
+        west, south = max(self.col, other.col), max(self.row, other.row)
+        cols = min(self.col + self.cols, other.col + other.cols) - west
+        rows = min(self.row + self.rows, other.row + other.rows) - south
+        return TileWindow(west, south, cols, rows)
+
     def cells(
         self, col: NDArray[np.int64], row: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:  # fmt: skip

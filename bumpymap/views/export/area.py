@@ -149,14 +149,11 @@ class ExportArea:
         rows, cols = self.shape
         if rows * cols > most:
             within = math.floor(0.5 * math.sqrt(most) * self.resolution - self.route_map.grid.tile_size)
+            remedy = f"Crop it with `around` and `radius={max(within, 1)}` or less"
+            if self.split > 1:
+                remedy += ", or pass `resolution='tile'`: then a cell with an obstacle in it is closed as a whole"
             raise BadInputError(
-                f"the area has {rows * cols:,} cells of {self.resolution:g} m; {kind} may have {most:,}. Crop it "
-                f"with `around` and `radius={max(within, 1)}` or less"
-                + (
-                    ""
-                    if self.split == 1
-                    else ", or pass `resolution='tile'`: then a cell with an obstacle in it is closed as a whole"
-                )
+                f"the area has {rows * cols:,} cells of {self.resolution:g} m; {kind} may have {most:,}. {remedy}"
             )
 
     def describe(self) -> dict[str, Any]:

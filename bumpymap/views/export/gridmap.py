@@ -20,7 +20,7 @@ from bumpymap.core import (
     install_command,
     remove_path,
 )
-from bumpymap.layers import MapFile, require_written
+from bumpymap.layers import MapFile, require_new_file, require_written
 from bumpymap.views.export.area import FRAME, FREE_CELL, LETHAL, ExportArea, by_pixel, cell_states
 from bumpymap.views.page.tiles import block_means
 
@@ -207,10 +207,7 @@ def check_bag_file(path: Path, out: Path, inputs: Iterable[Path], *, overwrite: 
         raise OutputError(f"{path} is an input of this run, or inside of one. Choose another `bag`")
     if out.resolve() in path.resolve().parent.parents:
         raise OutputError(f"{path} lies in a folder inside of {out}, which the run replaces. Choose another `bag`")
-    if lexists(path) and (not overwrite or path.is_dir()):
-        raise OutputError(f"{path} exists already. Choose another `bag`, or pass `overwrite=True` to replace it")
-    if not path.parent.is_dir():
-        raise OutputError(f"cannot write {path}: there is no folder {path.parent}. Choose another `bag`")
+    require_new_file(path, overwrite=overwrite and not path.is_dir(), option="bag")
 
 
 def write_grid_bag(path: Path, folder: Path, grids: Iterable[tuple[Frame, int, GroundGrid]]) -> None:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 _LINES, _FAINT, _DARK, _ERROR, _LINE = "#e2e4e8", "#6b7280", "#1f2937", "#9aa0a8", "#2563a8"
 _STEPS = (1, 2, 5)
 """Times a power of ten: the numbers at an axis."""
+_SIDES = (64, 12, 12, 48)
+"""Space left of the frame, right of it, above and below, pixels."""
 _ROOM, _LEAST_SPAN = 1.15, 4.0
 """Of a logarithmic axis: factor between its outermost value and its end, and least ratio of its ends. Chosen."""
 Part = Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -37,8 +39,6 @@ class Chart:
     """Its id on the page."""
     width: int
     height: int
-    sides: tuple[int, int, int, int]
-    """Space left of the frame, right of it, above and below, pixels."""
     x_part: Part
     y_part: Part
     caption: str
@@ -50,7 +50,7 @@ class Chart:
     @property
     def frame(self) -> tuple[int, int, int, int]:
         """Left, right, top and bottom of the frame, pixels."""
-        left, right, top, bottom = self.sides
+        left, right, top, bottom = _SIDES
         return left, self.width - right, top, self.height - bottom
 
     def x(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -98,20 +98,14 @@ class Chart:
         ]
 
 
-def ticks(low: float, high: float, most: int) -> tuple[list[float], int]:
-    """Return round numbers from low to high (low < high), and the decimals that tell them apart.
-
-    They are multiples of 1, 2 or 5 times a power of ten, with at most ``most`` steps.
-    """
-    least = (high - low) / most
+def ticks(high: float, most: int) -> list[float]:
+    """Return round numbers from 0 to high: multiples of 1, 2 or 5 times a power of ten, at most ``most`` steps."""
+    least = high / most
     power = 10.0 ** math.floor(math.log10(least))
     step = next(step for step in (power, 2 * power, 5 * power, 10 * power) if step >= least * (1 - 1e-9))
-    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    return [number * step for number in range(first, last + 1)], max(0, -math.floor(math.log10(step) + 1e-9))
+    return [round(number * step, 12) for number in range(math.floor(high / step + 1e-9) + 1)]
 
 
-_SIDES = (64, 12, 12, 48)
-"""See `Chart.sides`."""
 _FACTOR = 1.5
 """Thin lines: map and drive differ by this factor."""
 
@@ -140,7 +134,7 @@ def drive_chart(result: "CheckResult") -> Chart | None:
         "One mark a stretch, both axes logarithmic. Grey bars: the map's 80 % interval, and the 80 % error of the "
         f"measurement. Thick line: both agree; thin lines: a factor of {_FACTOR:g}. Brown lines: limits of the classes."
     )
-    chart = Chart(title, "chart-drives", 560, 440, _SIDES, part, part, caption, note, is_narrow=True)
+    chart = Chart(title, "chart-drives", 560, 440, part, part, caption, note, is_narrow=True)
     left, right, top, foot = chart.frame
     limits = () if result.ground is None else result.ground.class_limits
     lines = [(value, _LINES) for value in ticks]
@@ -185,13 +179,13 @@ def along_chart(result: "CheckResult") -> Chart | None:
     note += " Lines on grey: the map by tiles, with its 80 % interval." if len(on_map) else ""
     note += " Blue: the map by the driven line." if result.by_line is not None else ""
     parts: tuple[Part, Part] = (lambda x: x / length, lambda y: np.clip(y / highest, 0.0, 1.0))
-    chart = Chart(title, "along", 1120, 260, _SIDES, *parts, caption, note)
+    chart = Chart(title, "along", 1120, 260, *parts, caption, note)
     left, right, top, foot = chart.frame
-    for value in (round(value, 12) for value in ticks(0.0, highest, 5)[0]):
+    for value in ticks(highest, 5):
         (y,) = chart.y(np.array([value]))
         chart.path(f"M{left} {y:.1f}H{right}", _LINES)
         chart.text(left - 6, y + 4, f"{value:g}", "end")
-    for value in (round(value, 12) for value in ticks(0.0, length, 10)[0]):
+    for value in ticks(length, 10):
         chart.text(float(chart.x(np.array([value]))[0]), foot + 16, f"{value:,g}")
     sides = chart.x(np.concatenate([[0.0], np.cumsum(stretches.way_m)]))
     ends = [np.where(np.isfinite(end), end, stretches.c_r)[on_map] for end in (stretches.c_r_low, stretches.c_r_high)]

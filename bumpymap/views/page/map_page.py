@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Collection, Mapping, Sequence
-from os.path import lexists
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,6 +42,7 @@ from bumpymap.layers import (
     RideScale,
     class_ranges,
     read_manifest,
+    require_new_file,
     require_written,
 )
 from bumpymap.views.fields import field_names
@@ -120,10 +120,7 @@ def _check(path: Path, *, replace: bool) -> None:
         raise UsageError(f"{path} is not named like a page. Give a file that ends in .html as `out`")
     if path.is_dir() and not path.is_symlink():
         raise OutputError(f"cannot write {path}: it is a folder. Name a file with `out`, such as {path / REPORT_NAME}")
-    if not path.parent.is_dir():
-        raise OutputError(f"cannot write {path}: there is no folder {path.parent}. Create it, or choose another `out`")
-    if lexists(path) and not replace:
-        raise OutputError(f"{path} exists. Choose another `out`, or pass `overwrite=True` to replace it")
+    require_new_file(path, overwrite=replace)
 
 
 def write_map_page(site: Site, path: Path) -> None:
