@@ -75,7 +75,6 @@ from .steps import (
     TileSteps as TileSteps,
     apply_steps as apply_steps,
     closing_height as closing_height,
-    crossing_fails as crossing_fails,
     edge_usable as edge_usable,
     find_steps as find_steps,
     rate_beside_steps as rate_beside_steps,
