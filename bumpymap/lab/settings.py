@@ -23,12 +23,6 @@ def log_spaced(lowest: float, highest: float, count: int) -> tuple[float, ...]:
     return tuple(float(f"{lowest * ratio**step:.3g}") for step in range(count))
 
 
-def _textures() -> tuple[str, ...]:
-    from bumpymap.core import TEXTURES
-
-    return TEXTURES
-
-
 @dataclass(frozen=True, slots=True)
 class Physics:
     """Settings of the physics engine."""
@@ -172,7 +166,6 @@ class NetworkSettings:
     """Filters of the four convolutions."""
     hidden: int = 128
     """Units of the hidden layer between the averages over the patch and the output."""
-    classes: tuple[str, ...] = field(default_factory=_textures)
 
     def __post_init__(self) -> None:
         check_settings(self)

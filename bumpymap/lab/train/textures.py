@@ -137,8 +137,7 @@ def rotate(patches: Floats, angle: Floats) -> Floats:
     which = np.arange(count)[:, None, None]
     upper = patches[which, r, c] * (1 - right) + patches[which, r, c + 1] * right
     lower = patches[which, r + 1, c] * (1 - right) + patches[which, r + 1, c + 1] * right
-    turned: Floats = upper * (1 - down) + lower * down
-    return turned
+    return upper * (1 - down) + lower * down
 
 
 def _mirror(position: Floats, pixels: int) -> Floats:
@@ -153,8 +152,7 @@ def blur(patches: Floats, sigma: Floats) -> Floats:
     distance = axis[None, :] - axis[:, None]
     kernel = np.exp(-0.5 * (distance / np.maximum(sigma, 1e-3)[:, None, None]) ** 2)
     kernel /= kernel.sum(axis=2, keepdims=True)
-    blurred: Floats = kernel @ patches @ kernel.transpose(0, 2, 1)
-    return blurred
+    return kernel @ patches @ kernel.transpose(0, 2, 1)
 
 
 def fill_holes(patches: Floats) -> Floats:
@@ -236,7 +234,7 @@ class TextureNet(nn.Module):
         self.conv3 = convolution(b, c, 3, padding=1)
         self.conv4 = convolution(c, d, 3, padding=int(settings.pixels < 11))
         self.conv5 = convolution(d + MEASURES, settings.hidden, 1)
-        self.head = nn.Conv2d(settings.hidden, len(settings.classes), 1)
+        self.head = nn.Conv2d(settings.hidden, len(TEXTURES), 1)
 
     def forward(self, patches: torch.Tensor, measures: torch.Tensor) -> torch.Tensor:
         """Return logits (n, classes) of patches (n, 1, pixels, pixels) scaled to [0, 1] and `measures_of`, (n, 3)."""
@@ -367,7 +365,7 @@ def make_model(settings: TrainSettings, out: Path, progress: Callable[[EpochRepo
         network = settings.network
         metadata = {
             **versions("bumpymap-textures"),
-            "classes": list(network.classes),
+            "classes": list(TEXTURES),
             "pixels": network.pixels,
             "tile_size": settings.tile_size,
             "feature_version": FEATURE_VERSION,
