@@ -56,14 +56,6 @@ class Drive:
     """Horizontal length of the chassis' path during the measurement."""
 
 
-def drive(profile: Vehicle, ground: DrivenGround, seed: int, settings: DriveSettings) -> Drive:
-    """Drive over unbounded ground from a start and at a heading that are drawn from a seed.
-
-    The same seed gives the same bits in any process.
-    """
-    return drive_from(profile, ground, draw_start(ground, np.random.default_rng(seed)), settings)
-
-
 def draw_start(ground: DrivenGround, rng: np.random.Generator) -> Start:
     """Draw a start within the extent of the ground, at any heading."""
     easting, northing, turn = rng.random(3).tolist()
@@ -194,8 +186,8 @@ def drive_patch(
     """
     ground = PatchGround.from_heights(heights, tile_size)
     streams = (np.random.SeedSequence(seed, spawn_key=(*stream, start)) for start in range(starts))
-    seeds = (int(own.generate_state(1, np.uint64)[0]) for own in streams)
-    return PatchDrives.of([drive(profile, ground, own, settings) for own in seeds])
+    draws = (np.random.default_rng(int(own.generate_state(1, np.uint64)[0])) for own in streams)
+    return PatchDrives.of([drive_from(profile, ground, draw_start(ground, rng), settings) for rng in draws])
 
 
 def calibrated_settings(calibration: Calibration) -> CalibrationSettings:

@@ -377,7 +377,7 @@ def rate_thin(
     Raises BadInputError if the model of thin surveys of the calibration is damaged.
     """
     model = _model(calibration)
-    weight = _ride_weight(first, coverage)
+    weight = np.where(first.class_id != NO_CLASS, dense_share(coverage), 0.0)  # of the first pass
     reason = np.where(is_rateable(columns, first.reason) & (weight < 1.0), np.uint8(Reason.OK), first.reason)
     asked = reason == Reason.OK
     weight, slope, reason, before = *(_without(values, ring) for values in (weight, slope, reason)), first.inner(ring)
@@ -420,11 +420,6 @@ def _without(values: NDArray[Any], ring: int) -> NDArray[Any]:
 @remembered
 def _model(calibration: Calibration) -> ThinModel:
     return ThinModel.from_record(calibration.thin)
-
-
-def _ride_weight(first: BlockRating, coverage: NDArray[np.floating]) -> Floats:
-    """Return the weight of the first pass in the rating of each tile: 0 of thin and unknown tiles, 1 of dense ones."""
-    return np.where(first.class_id != NO_CLASS, dense_share(coverage), 0.0)
 
 
 def dense_share(coverage: NDArray[np.floating]) -> Floats:
