@@ -285,8 +285,7 @@ def _calibrate_spread(
 
 def student_factor(drives: NDArray[np.int64]) -> Floats:
     """Return Student's t quantile over the normal one for a mean of that many drives (first Cornish-Fisher term)."""
-    wider: Floats = 1 + (NORMAL_80**2 + 1) / (4 * (drives.astype(np.float64) - 1))
-    return wider
+    return 1 + (NORMAL_80**2 + 1) / (4 * (drives.astype(np.float64) - 1))
 
 
 def _fit_logistic(terms: Floats, failed: NDArray[Any], completed: NDArray[Any], penalty: float) -> Floats:

@@ -199,8 +199,7 @@ class Correction(Coefficients):
         low = np.minimum(place.astype(np.int64), len(knots) - 2)
         part = place - low
         each = np.arange(len(known))
-        value: Floats = rows[low, each] * (1 - part) + rows[low + 1, each] * part
-        return value
+        return np.asarray(rows[low, each] * (1 - part) + rows[low + 1, each] * part)
 
 
 def subtract_noise(pitch_change: Floats, noise_felt: Floats) -> tuple[Floats, Floats]:
@@ -257,5 +256,4 @@ def fail_features(rides: Rides, slope_deg: Floats) -> Floats:
 def _unevenness(rides: Rides) -> Floats:
     """Return ln (RMS of the pitch change / its mean): 0.23 for a normal distribution, more for single bumps."""
     size = np.maximum(rides.pitch_change, _MIN_C_R)
-    uneven: Floats = np.log(np.maximum(rides.pitch_change_rms, size) / size)
-    return uneven
+    return np.log(np.maximum(rides.pitch_change_rms, size) / size)

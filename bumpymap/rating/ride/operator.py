@@ -302,8 +302,7 @@ def chassis_response(vehicle: Vehicle, way: float) -> Floats:
         if abs(before - 1) < _SETTLED and abs(state[1]) * seconds < _SETTLED:
             break
     response = np.array(taps)
-    scaled: Floats = response / response.sum()
-    return scaled
+    return np.asarray(response / response.sum())
 
 
 def _exponential(matrix: Floats) -> Floats:
@@ -347,8 +346,7 @@ def cosines(pixels: int) -> Floats:
     """Orthonormal cosines (DCT-II), (order, pixel): those of a line that is mirrored at its ends."""
     k, i = np.arange(pixels)[:, None], np.arange(pixels)[None, :]
     scale = np.where(k == 0, 1.0, 2.0) / pixels
-    waves: Floats = np.sqrt(scale) * np.cos(np.pi * (i + 0.5) * k / pixels)
-    return waves
+    return np.sqrt(scale) * np.cos(np.pi * (i + 0.5) * k / pixels)
 
 
 def interpolation(pixels: int, fine: int) -> Floats:
@@ -489,21 +487,18 @@ def weighting_wk(frequency: NDArray[np.floating]) -> NDArray[np.complex128]:
     low_pass = 1 / _second_order(p / high, np.sqrt(0.5))
     transition = (1 + p / velocity) / _second_order(p / velocity, _VELOCITY_Q)
     step = _second_order(p / first, _STEP_Q) / _second_order(p / second, _STEP_Q) * (first / second) ** 2
-    response: NDArray[np.complex128] = high_pass * low_pass * transition * step
-    return response
+    return np.asarray(high_pass * low_pass * transition * step)
 
 
 def felt_response(frequency: NDArray[np.floating]) -> NDArray[np.complex128]:
     """Return the weighted acceleration [m/s2] for a vertical motion of 1 m at frequencies [Hz], up to 10 Hz."""
     p: NDArray[Any] = 1j * frequency / WEIGHTED_BAND_HZ[1]
     cut = _second_order(p, _CUT_Q[0]) * _second_order(p, _CUT_Q[1])
-    response: NDArray[np.complex128] = (2j * np.pi * frequency) ** 2 * weighting_wk(frequency) / cut
-    return response
+    return np.asarray((2j * np.pi * frequency) ** 2 * weighting_wk(frequency) / cut)
 
 
 def _second_order(p: NDArray[Any], quality: float) -> NDArray[Any]:
-    section: NDArray[Any] = 1 + p / quality + p**2
-    return section
+    return np.asarray(1 + p / quality + p**2)
 
 
 _SAMPLES = 128

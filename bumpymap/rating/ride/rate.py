@@ -195,8 +195,7 @@ def remove_plane(patches: NDArray[np.floating]) -> Floats:
     slope_row = np.einsum("nij,i->n", heights, axis) * weight
     slope_col = np.einsum("nij,j->n", heights, axis) * weight
     plane = slope_row[:, None, None] * axis[:, None] + slope_col[:, None, None] * axis[None, :]
-    residual: Floats = heights - plane
-    return residual
+    return np.asarray(heights - plane)
 
 
 def match_noise(
@@ -303,5 +302,4 @@ def felt_along(
     reaches, slopes = (np.tile(values, len(pitch)) for values in (reach, slope_deg))
     none = np.zeros(pitch.size)
     rides = Rides(size.ravel(), rms.ravel(), about.ravel(), none, reaches, none, none)
-    felt: Floats = np.exp(correction.without_noise(rides, slopes)).reshape(pitch.shape) * change / size
-    return felt
+    return np.exp(correction.without_noise(rides, slopes)).reshape(pitch.shape) * change / size
