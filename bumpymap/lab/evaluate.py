@@ -253,11 +253,6 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     return [*lines, *(f"| {' | '.join(row)} |" for row in rows), ""]
 
 
-def number(value: float) -> str:
-    """Format a number with three significant digits; a dash if it is not finite."""
-    return f"{value:.3g}" if math.isfinite(value) else "-"
-
-
 def percent(share: float) -> str:
     """Format a share of 0..1 as per cent; a dash if it is not finite."""
     return f"{100 * share:.1f} %" if math.isfinite(share) else "-"
