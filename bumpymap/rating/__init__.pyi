@@ -62,14 +62,12 @@ from .ride.thin import (
     Strength as Strength,
     ThinModel as ThinModel,
     dense_share as dense_share,
-    fail_terms as fail_terms,
     find_strengths as find_strengths,
     is_rateable as is_rateable,
     log_points as log_points,
     rate_thin as rate_thin,
-    ride_terms as ride_terms,
-    spread_terms as spread_terms,
     thin_columns as thin_columns,
+    thin_terms as thin_terms,
 )
 from .steps import (
     TileSteps as TileSteps,

@@ -52,10 +52,6 @@ class Prediction:
     p_fail: Floats
     """(n,) 0..1."""
 
-    def each(self, change: Callable[[Floats], Floats]) -> "Prediction":
-        """Return it with all four arrays changed alike: reshaped, or a part of each."""
-        return Prediction(*map(change, (self.log_c_r, self.below, self.above, self.p_fail)))
-
     def at_speed(self, log_ratio: Floats, log_sd: float) -> "Prediction":
         """Return it at another speed: C_r times exp(``log_ratio``), with an error more of that size in ln C_r."""
         return Prediction(

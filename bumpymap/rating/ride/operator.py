@@ -193,13 +193,6 @@ def _compressed(node: NDArray[np.int64], weight: Floats) -> PitchSamples:
     return PitchSamples(starts.astype(np.int32), *entries, np.array([0, samples]))
 
 
-def joined(parts: Sequence[PitchSamples]) -> PitchSamples:
-    """Put the rows of parts one after the other, and their groups."""
-    starts, node, weight, bounds = zip(*parts, strict=True)
-    rows, groups = (np.cumsum(np.concatenate(([0], *map(np.diff, ends)))) for ends in (starts, bounds))
-    return PitchSamples(rows.astype(np.int32), np.concatenate(node), np.concatenate(weight), groups)
-
-
 _RIDE_SAMPLES, _POSE_SAMPLES = 128, 16
 """Samples before the eight symmetries."""
 _MOST_TAPS, _SETTLED = 400, 0.01
@@ -434,7 +427,10 @@ class MotionOperator:
             groups.append(pitch_change(lattice, places, chassis_response(replace(vehicle, speed_mps=speed), way)))
             felt, back = heave_filter(speed, min(way, speed / (_PER_WAVE * WEIGHTED_BAND_HZ[1])))
             groups.append(wheel_rows(lattice, places, (1, 1, 1, 1), felt / 4, back))
-        return cls(tuple(speeds), lattice.fine, lattice.wheel, joined(groups))
+        starts, node, weight, bounds = zip(*groups, strict=True)
+        rows, ends = (np.cumsum(np.concatenate(([0], *map(np.diff, each)))) for each in (starts, bounds))
+        samples = PitchSamples(rows.astype(np.int32), np.concatenate(node), np.concatenate(weight), ends)
+        return cls(tuple(speeds), lattice.fine, lattice.wheel, samples)
 
 
 def move_over(relief_map: NDArray[np.float32], operator: MotionOperator) -> Motions:

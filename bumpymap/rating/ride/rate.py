@@ -158,10 +158,10 @@ def interval(found: Prediction, floor: float) -> tuple[Floats, Floats, Floats]:
 
 
 def judge(found: Prediction, slope: NDArray[np.floating], calibration: Calibration) -> tuple[NDArray[np.int64], Floats]:
-    """Return class and its probability of n predictions.
+    """Return class and its probability of predictions of any shape.
 
-    Where the ground is steeper than the vehicle's limit (``slope``, (n,) degrees), or at least ``FAIL_SHARE`` of the
-    drives fail, the class is the roughest. The floor plays no part: predictions and limits are those of drives.
+    Where the ground is steeper than the vehicle's limit (``slope``, of that shape, degrees), or at least ``FAIL_SHARE``
+    of the drives fail, the class is the roughest. The floor plays no part: predictions and limits are those of drives.
     """
     class_id = np.searchsorted(np.log(calibration.class_limits), found.log_c_r, side="right")
     chance = class_chance(class_id, found.log_c_r, (found.below, found.above), calibration.class_limits)
