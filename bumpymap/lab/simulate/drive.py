@@ -31,6 +31,8 @@ _SIDE_GAIN = 0.5
 """Tangent of the commanded heading correction per metre of lateral offset, 1/m."""
 _MAX_STEERING = 0.5
 """Largest speed difference that steering may command, as a share of the speed."""
+_LIBRARY_WHEEL_M = 0.3
+"""The library's heights suit wheels of this radius; for other radii they are scaled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +208,7 @@ def library_terrain(settings: CalibrationSettings, kind: str, index: int) -> Ter
         kind,
         settings.seed,
         index,
-        height_scale=settings.height_scale,
+        height_scale=settings.profile.wheel.radius_m / _LIBRARY_WHEEL_M,
         slope_limit_deg=settings.profile.slope_limit_deg,
         tile_size=settings.tile_size,
         pixels=settings.pixels,
