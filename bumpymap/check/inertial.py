@@ -302,8 +302,8 @@ class DrivenMotion:
 
     speed: Floats
     """(n,) m/s."""
-    yaw_rate: Floats
-    """(n,) rad/s, positive to the left."""
+    acceleration: Complexes
+    """(n,) ahead and to the left, x + i y, m/s2."""
     along_slope: Floats
     """(n,) rise of the ground ahead over a metre, by the map; NaN where not known."""
     left_slope: Floats
@@ -325,8 +325,7 @@ def find_mounting(imu: EvenImu, attitude: Rotation, motion: DrivenMotion, moving
         if not yaw_sd <= _MOST_YAW_SD:
             yaw = 0.0
         aligned = Rotation.from_euler("z", yaw) * rotation
-        ahead = np.gradient(motion.speed) * imu.hertz
-        driven = np.stack([ahead, motion.speed * motion.yaw_rate, 0.0 * ahead], axis=1)
+        driven = np.stack([motion.acceleration.real, motion.acceleration.imag, np.zeros(len(motion.speed))], axis=1)
         upward = upward_in_sensor(imu, attitude, aligned.inv().apply(driven))
         rotation = _level(aligned.apply(upward), motion, moving) * aligned
     roll, pitch, turn = (float(angle) for angle in rotation.as_euler("ZYX", degrees=True)[::-1])
@@ -346,8 +345,7 @@ def level_force(imu: EvenImu, rotation: Rotation, upward: Floats) -> NDArray[np.
 def _yaw(imu: EvenImu, rotation: Rotation, upward: Floats, motion: DrivenMotion, moving: Mask) -> tuple[float, float]:
     """Return the yaw of the levelled sensor in the vehicle and its standard deviation, rad."""
     felt = _band(level_force(imu, rotation, upward), imu.hertz)
-    speeding = np.gradient(motion.speed) * imu.hertz
-    driven = _band(speeding + 1j * motion.speed * motion.yaw_rate, imu.hertz)
+    driven = _band(motion.acceleration, imu.hertz)
     use = moving & imu.known
     power = float((np.abs(driven[use]) ** 2).sum()) / imu.hertz
     if power < _LEAST_ACCELERATION**2:

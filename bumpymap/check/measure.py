@@ -273,7 +273,7 @@ def _mounting(imu: EvenImu, rates: _Rates, track: DrivenTrack, slope_at: SlopeAt
     share = rolling_mean(imu.known.astype(np.float64), round(2.0 * _BESIDE_GAP_S * imu.hertz))
     far = imu.known & (share > 1.0 - 1e-9)
     moving = (far if far.mean() > _LEAST_FAR else imu.known) & (np.abs(speed) > _LEAST_SPEED_MPS)
-    motion = DrivenMotion(speed, yaw_rate, along, left)
+    motion = DrivenMotion(speed, np.gradient(speed) * imu.hertz + 1j * speed * yaw_rate, along, left)
     return find_mounting(imu, rates.attitude, motion, moving)
 
 

@@ -23,8 +23,5 @@ from .simulate.calibrate import (
 from .simulate.drive import library_terrains as library_terrains
 from .simulate.model import require_dart as require_dart
 from .train.model_files import EpochReport as EpochReport
-from .train.scan_net import (
-    ScanEvaluation as ScanEvaluation,
-    make_scan_model as make_scan_model,
-)
-from .train.textures import Evaluation as Evaluation, make_model as make_model
+from .train.scan_net import make_scan_model as make_scan_model
+from .train.textures import make_model as make_model

@@ -64,8 +64,7 @@ def z_deviation(scan: Scan, stack: SectorStack) -> Floats:
     place, z = stack.point_sector[inside], scan.points[inside, 2].astype(np.float64)
     count = np.maximum(np.bincount(place, minlength=len(stack.zone)), 1)
     off = z - (np.bincount(place, z, len(stack.zone)) / count)[place]
-    deviation: Floats = np.sqrt(np.bincount(place, off**2, len(stack.zone)) / count)
-    return deviation
+    return np.sqrt(np.bincount(place, off**2, len(stack.zone)) / count)
 
 
 def all_answers(table: ClassedSectorTable) -> dict[str, Ints]:
@@ -252,11 +251,6 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     """Return the lines of a Markdown table."""
     lines = [f"| {' | '.join(header)} |", f"|{'---|' * len(header)}"]
     return [*lines, *(f"| {' | '.join(row)} |" for row in rows), ""]
-
-
-def number(value: float) -> str:
-    """Format a number with three significant digits; a dash if it is not finite."""
-    return f"{value:.3g}" if math.isfinite(value) else "-"
 
 
 def percent(share: float) -> str:

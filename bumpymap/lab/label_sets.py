@@ -8,7 +8,7 @@ wanted, ``name`` and ``kind``.
 
 import csv
 import math
-from collections.abc import Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,18 +43,13 @@ class LabelSet:
     obstacle: frozenset[int]
     """Ids of standing objects that stop a vehicle. Trees count as a whole where a set has no id of their
     trunks: only what is lower than the vehicle is in its way."""
-    names: dict[int, str]
-    """Id -> name."""
 
     def classes_of(self, labels: NDArray[np.integer[Any]]) -> NDArray[np.int16]:
         """Return the class of each label; -1 if it has none or is not of the set."""
         table = np.full(max(self.class_of, default=0) + 2, _NO_CLASS, np.int16)
         table[list(self.class_of)] = list(self.class_of.values())
         outside = len(table) - 1
-        classes: NDArray[np.int16] = table[
-            np.where((labels >= 0) & (labels < outside), labels, outside).astype(np.intp)
-        ]
-        return classes
+        return table[np.where((labels >= 0) & (labels < outside), labels, outside).astype(np.intp)]
 
     def is_ground(self, labels: NDArray[np.integer[Any]]) -> NDArray[np.bool_]:
         """Return which labels are of ground."""
@@ -74,12 +69,11 @@ class LabelSet:
         return bool(is_ground and self.is_known(labelled).all())
 
 
-def _from_groups(name: str, *groups: tuple[int, str, Mapping[int, str]]) -> LabelSet:
-    """Return a set from groups of ids: class, kind, and the names of the ids."""
-    class_of = {number: class_id for class_id, _, names in groups for number in names}
-    kinds = {kind: frozenset(number for _, own, names in groups if own == kind for number in names) for kind in _KINDS}
-    all_names = {number: text for _, _, names in groups for number, text in names.items()}
-    return LabelSet(name, class_of, kinds["ground"], kinds["obstacle"], all_names)
+def _from_groups(name: str, *groups: tuple[int, str, Collection[int]]) -> LabelSet:
+    """Return a set from groups of ids: class, kind, and the ids, of built-in sets with their names."""
+    class_of = {number: class_id for class_id, _, ids in groups for number in ids}
+    kinds = {kind: frozenset(number for _, own, ids in groups if own == kind for number in ids) for kind in _KINDS}
+    return LabelSet(name, class_of, kinds["ground"], kinds["obstacle"])
 
 
 _KITTI = _from_groups(
@@ -160,7 +154,7 @@ def _read_set(path: Path) -> LabelSet:
             f"{path} is not a label set: its first line is '{','.join(head)[:80]}', with {len(rows)} lines below; it "
             "must be id,class or id,class,name,kind, with one line per id below"
         )
-    groups: dict[int, tuple[int, str, Mapping[int, str]]] = {}
+    groups: dict[int, tuple[int, str, Collection[int]]] = {}
     for row in rows:
         found = dict(zip(head, row, strict=False))
         try:
@@ -173,7 +167,7 @@ def _read_set(path: Path) -> LabelSet:
                 f"{path}: the line {','.join(row)[:80]} is not one of a label set. Each id (0 to 65,535) stands once, "
                 "with a class from -1 to 2 and, if wanted, name and kind (ground, obstacle, or empty)"
             )
-        groups[number] = class_id, kind, {number: found.get("name") or f"id {number}"}
+        groups[number] = class_id, kind, [number]
     return _from_groups(str(path), *groups.values())
 
 

@@ -13,20 +13,11 @@ from bumpymap.core import ScanMethod, Setting, UsageError, check_settings
 if TYPE_CHECKING:
     from bumpymap.rating import Vehicle
 
-_LIBRARY_WHEEL_M = 0.3
-"""The library's heights suit wheels of this radius; for other radii they are scaled."""
-
 
 def log_spaced(lowest: float, highest: float, count: int) -> tuple[float, ...]:
     """Return ``count`` values from ``lowest`` to ``highest`` in equal ratios, rounded to three digits."""
     ratio = (highest / lowest) ** (1.0 / (count - 1))
     return tuple(float(f"{lowest * ratio**step:.3g}") for step in range(count))
-
-
-def _textures() -> tuple[str, ...]:
-    from bumpymap.core import TEXTURES
-
-    return TEXTURES
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,18 +96,8 @@ class CalibrationSettings:
         return replace(self, patches=4, starts=1, z_range=z_range, terrains=16, terrain_starts=4)
 
     @property
-    def height_scale(self) -> float:
-        """Factor on the library's heights: the height that a wheel climbs is proportional to its radius."""
-        return self.profile.wheel.radius_m / _LIBRARY_WHEEL_M
-
-    @property
-    def motion_terrains(self) -> int:
-        """Terrains of each kind that are driven at other speeds too: a quarter of the library."""
-        return max(2, self.terrains // 4)
-
-    @property
     def motion_starts(self) -> int:
-        """Starts on each of them: a quarter of its drives."""
+        """Starts on each terrain that is driven at other speeds too: a quarter of its drives."""
         return max(1, self.terrain_starts // 4)
 
     def to_dict(self) -> dict[str, Any]:
@@ -172,7 +153,6 @@ class NetworkSettings:
     """Filters of the four convolutions."""
     hidden: int = 128
     """Units of the hidden layer between the averages over the patch and the output."""
-    classes: tuple[str, ...] = field(default_factory=_textures)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -194,12 +174,6 @@ class TrainSettings(LoopSettings):
     ] = 3.0
     """Side of the tiles the network is for, m. It is metadata only: texture sizes are relative to the side."""
     network: NetworkSettings = field(default_factory=NetworkSettings)
-
-    @property
-    def command(self) -> str:
-        """The command line of this training, without ``--out``."""
-        names = ("seed", "epochs", "patches_per_texture", "network.pixels", "tile_size", "threads")
-        return f"bumpymap train textures {self.as_options(*names)}"
 
 
 @dataclass(frozen=True, slots=True)

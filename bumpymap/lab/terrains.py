@@ -144,8 +144,7 @@ def _blurred_noise(
     distance = np.arange(-margin, pixels + margin)[None, :] - np.arange(pixels)[:, None]
     kernel = np.exp(-0.5 * (distance / (sigma[:, None, None] * pixels)) ** 2)
     kernel /= kernel.sum(axis=2, keepdims=True)
-    blurred: Floats = kernel @ noise @ kernel.transpose(0, 2, 1)
-    return blurred
+    return kernel @ noise @ kernel.transpose(0, 2, 1)
 
 
 def _flat(count: int, rng: np.random.Generator, pixels: int) -> Floats:
@@ -206,15 +205,13 @@ def fractal(rng: np.random.Generator, x: Floats, hurst: float, rms: float) -> Fl
     surface = surface - surface.mean()
     surface -= np.outer(np.ones(n), axis) * (surface.sum(axis=0) @ axis / norm)
     surface -= np.outer(axis, np.ones(n)) * (surface.sum(axis=1) @ axis / norm)
-    scaled: Floats = surface * (rms / surface.std())
-    return scaled
+    return np.asarray(surface * (rms / surface.std()))
 
 
 def _across(rng: np.random.Generator, x: Floats, y: Floats) -> Floats:
     """Return the distance from a line through the centre at a random bearing, m."""
     turn = rng.uniform(0, 2 * np.pi)
-    away: Floats = np.cos(turn) * x + np.sin(turn) * y
-    return away
+    return np.asarray(np.cos(turn) * x + np.sin(turn) * y)
 
 
 def _spots(rng: np.random.Generator, count: int, x: Floats) -> Floats:
@@ -288,8 +285,7 @@ def _stones(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Float
 
 def _rise(away: Floats, height: float, place: float) -> Floats:
     """One step up, some centimetres wide."""
-    step: Floats = height / (1 + np.exp(-np.clip((away - place) / 0.015, -50, 50)))
-    return step
+    return height / (1 + np.exp(-np.clip((away - place) / 0.015, -50, 50)))
 
 
 def _kerb(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
@@ -311,8 +307,7 @@ def _furrows(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floa
     away = _across(rng, x, y)
     length, height = rng.uniform(0.4, 1.0), log_uniform(rng, 0.02, 0.4)
     ridge = np.abs(np.mod(away / length + rng.uniform(), 1) - 0.5) * 4 - 1
-    surface: Floats = height / 2 * np.sin(np.pi / 2 * ridge) + fractal(rng, x, 0.4, 0.15 * height)
-    return surface
+    return height / 2 * np.sin(np.pi / 2 * ridge) + fractal(rng, x, 0.4, 0.15 * height)
 
 
 def _tufts(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
@@ -332,16 +327,14 @@ def _margin(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Float
     rough = 1 / (1 + np.exp(-np.clip((away - rng.uniform(-0.8, 0.8)) / rng.uniform(0.05, 0.4), -50, 50)))
     wild = fractal(rng, x, rng.uniform(0.2, 0.8), log_uniform(rng, 0.02, 0.5))
     smooth = fractal(rng, x, 0.5, log_uniform(rng, 0.002, 0.02))
-    surface: Floats = rough * wild + (1 - rough) * smooth
-    return surface
+    return rough * wild + (1 - rough) * smooth
 
 
 def _ditch(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
     """Two slopes that meet in a bottom or on a crest, more or less rounded."""
     away = _across(rng, x, y)
     bend = float(np.subtract(*rng.uniform(-0.5, 0.5, 2))) * log_uniform(rng, 0.1, 2.5)
-    surface: Floats = bend / 2 * np.hypot(away - rng.uniform(-1, 1), rng.uniform(0.05, 0.5))
-    return surface
+    return bend / 2 * np.hypot(away - rng.uniform(-1, 1), rng.uniform(0.05, 0.5))
 
 
 SHAPES: dict[str, Shape] = {
@@ -392,8 +385,7 @@ class Terrain:
     @property
     def heights(self) -> Floats:
         """(pixels, pixels) mean height of each pixel, m; north row first; as from a perfect, noise-free survey."""
-        means: Floats = self.surface.reshape(self.pixels, FINE, self.pixels, FINE).mean(axis=(1, 3))
-        return means
+        return np.asarray(self.surface.reshape(self.pixels, FINE, self.pixels, FINE).mean(axis=(1, 3)))
 
 
 def make_terrain(

@@ -78,11 +78,6 @@ class DrivenTerrain:
         """Number of all drives."""
         return self.completed + self.failed
 
-    @property
-    def p_fail(self) -> float:
-        """Share of the drives that failed."""
-        return self.failed / self.drives
-
 
 @dataclass(frozen=True, slots=True)
 class Calibration:

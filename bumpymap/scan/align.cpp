@@ -123,10 +123,4 @@ void match_objects(
 }  // namespace
 }  // namespace bumpy
 
-void bind_align(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, range_image);
-    BUMPY_LOOP(module, judge_places);
-    BUMPY_LOOP(module, draw_objects);
-    BUMPY_LOOP(module, match_objects);
-}
+BUMPY_LOOPS(align, range_image, judge_places, draw_objects, match_objects)

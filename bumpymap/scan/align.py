@@ -65,8 +65,7 @@ def view_of(points: NDArray[np.float32], is_ground: NDArray[np.bool_], pose: Flo
 
 def _corner(pose: Floats) -> NDArray[np.int64]:
     """Return the first column and row of the squares around a sensor."""
-    corner: NDArray[np.int64] = np.floor(pose[:2, 3] / _SQUARE_M).astype(np.int64) - _SIDE // 2
-    return corner
+    return np.floor(pose[:2, 3] / _SQUARE_M).astype(np.int64) - _SIDE // 2
 
 
 def ground_heights(points: NDArray[np.float32], is_ground: NDArray[np.bool_], pose: Floats) -> NDArray[np.float32]:

@@ -44,11 +44,6 @@ class SeenCells(NamedTuple):
         return GroundGrid(cell_m, occupancy, self.class_id, elevation, step, top, clearance, own, corner_m)
 
 
-def lay_grid(points: NDArray[np.float32], classed: ClassedSectors, settings: GridSettings) -> GroundGrid:
-    """Lay a grid of square cells over the points (n, 3) of a classified scan, m; see `GroundGrid`."""
-    return see_cells(points, classed, settings).finish(settings.resolution_m)
-
-
 def see_cells(
     points: NDArray[np.float32],
     classed: ClassedSectors,

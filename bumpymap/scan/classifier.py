@@ -62,7 +62,7 @@ from bumpymap.rating import (
 )
 from bumpymap.readers import read_scan, scene_points
 from bumpymap.scan.align import nearest_ranges
-from bumpymap.scan.cells import FrameView, GroundMemory, lay_grid, see_cells
+from bumpymap.scan.cells import FrameView, GroundMemory, see_cells
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.learned import ScanModel, classify_learned
 from bumpymap.scan.sectors import polar_sectors
@@ -282,7 +282,9 @@ class ScanResult:
 
         With a pose: what is remembered, in cells of the odometry frame.
         """
-        return self._grid if isinstance(self._grid, GroundGrid) else lay_grid(self._scene, self.sectors, self._grid)
+        if isinstance(self._grid, GroundGrid):
+            return self._grid
+        return see_cells(self._scene, self.sectors, self._grid).finish(self._grid.resolution_m)
 
     @property
     def class_names(self) -> dict[int, str]:

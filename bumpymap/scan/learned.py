@@ -248,5 +248,4 @@ def infer(content: bytes, inputs: Mapping[str, NDArray[np.float32]]) -> NDArray[
         network.run(None, {name: values[start : start + _BATCH] for name, values in inputs.items()})[0]
         for start in range(0, len(inputs["measures"]), _BATCH)
     ]
-    probability: NDArray[np.float32] = np.concatenate(parts)
-    return probability
+    return np.concatenate(parts)

@@ -96,8 +96,4 @@ void move_voxels(VoxelTable table, VoxelTable larger) {
 
 BUMPY_RECORD(bumpy::VoxelTable, slot, key, hits, last, mine, held, turn, place, size)
 
-void bind_merge(nb::module_& module) {
-    using namespace bumpy;
-    BUMPY_LOOP(module, gather_points);
-    BUMPY_LOOP(module, move_voxels);
-}
+BUMPY_LOOPS(merge, gather_points, move_voxels)

@@ -354,8 +354,7 @@ class DriveMerge:
 def _key_of(cell: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return a number for each cell (n, 3) of a block."""
     x, y, z = cell.T
-    key: NDArray[np.int64] = (z * 4096 + y) * 4096 + x
-    return key
+    return np.asarray((z * 4096 + y) * 4096 + x)
 
 
 def _empty_table(rows: int) -> VoxelTable:

@@ -175,8 +175,7 @@ def _turn_of(poses: NDArray[np.floating[Any]]) -> Floats:
     """Return rotation vectors (n, 3) of poses (n, 4, 4), or of their rotations, rad."""
     from scipy.spatial.transform import Rotation
 
-    turns: Floats = Rotation.from_matrix(poses[:, :3, :3]).as_rotvec()
-    return turns
+    return np.asarray(Rotation.from_matrix(poses[:, :3, :3]).as_rotvec())
 
 
 def _solve(given: Floats, edges: list[Edge]) -> Floats:

@@ -117,8 +117,7 @@ def _labels(scan: Scan, point_sector: NDArray[np.int32], sectors: int) -> NDArra
     inside = point_sector >= 0
     place = point_sector[inside] * len(ids) + column[scan.label[inside]]
     votes = np.bincount(place, minlength=sectors * len(ids)).reshape(sectors, -1)
-    most: NDArray[np.int16] = ids[votes.argmax(axis=1)].astype(np.int16)
-    return most
+    return np.asarray(ids[votes.argmax(axis=1)], np.int16)
 
 
 OPEN_SHARE = 0.55

@@ -19,9 +19,8 @@ def draw_vehicle(axis: Axes, calibration: Calibration) -> None:
     known = [t for t in driven if t.c_r is not None]
     within = np.array([t.index for t in known]) / max(t.index for t in driven) - 0.5
     place = np.array([KINDS.index(t.kind) for t in known]) + 0.6 * within
-    dots = axis.scatter(
-        place, [t.c_r for t in known], c=[t.p_fail for t in known], s=9, cmap="viridis_r", vmin=0, vmax=1
-    )
+    fails = [t.failed / t.drives for t in known]
+    dots = axis.scatter(place, [t.c_r for t in known], c=fails, s=9, cmap="viridis_r", vmin=0, vmax=1)
     for limit in calibration.class_limits:
         axis.axhline(limit, color="0.5", linewidth=0.8, linestyle="--")
     axis.set(yscale="log", ylim=(0.003, 2.5), xlim=(-0.6, len(KINDS) - 0.4), ylabel="C_r [rad/m]")

@@ -36,7 +36,7 @@ def test_a_set_tells_class_ground_and_obstacles_of_its_ids_and_nothing_of_others
     assert set(ids[known.is_ground(ids)]) == known.ground
     assert set(ids[known.is_obstacle(ids)]) == known.obstacle
     assert not known.ground & known.obstacle
-    assert set(ids[known.is_known(ids)]) == set(known.class_of) == set(known.names)
+    assert set(ids[known.is_known(ids)]) == set(known.class_of)
 
 
 def test_a_set_from_a_file(tmp_path):
@@ -46,7 +46,6 @@ def test_a_set_from_a_file(tmp_path):
     assert known == label_set(str(path))
     assert known.class_of == {1: 0, 2: 2, 7: -1}
     assert (known.ground, known.obstacle) == ({1}, {2})
-    assert known.names == {1: "lawn", 2: "wall", 7: "id 7"}
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ from bumpymap.lab.terrains import fractal
 from bumpymap.layers import open_accumulated
 from bumpymap.rating import find_calibration
 from bumpymap.scan import ScanConfig, classify_filter, load_stripes, polar_sectors, scan_frames
-from bumpymap.scan.cells import lay_grid
+from bumpymap.scan.cells import see_cells
 from bumpymap.scan.classifier import SectorRater
 from bumpymap.scan.learned import ScanModel, classify_learned, infer, neighbours, network_input, probabilities
 from bumpymap.scan.merge import MOST_GROUND, MOST_OTHERS, DriveMerge, place_points
@@ -257,7 +257,9 @@ def test_smooth_ground_that_is_too_steep_is_of_the_roughest_class(limit, classes
     stack = polar_sectors(scan)
     ride = rater(scan, stack)
     known = ride.class_id != NO_CLASS
-    cells = lay_grid(scan.points, replace(classify_filter(stack), ride=ride), GridSettings()).occupancy
+    settings = GridSettings()
+    seen = see_cells(scan.points, replace(classify_filter(stack), ride=ride), settings)
+    cells = seen.finish(settings.resolution_m).occupancy
     assert ((cells == 100).mean() > 0.1) == (limit < 8.0)
     assert known.sum() > 50
     assert set(ride.class_id[known].tolist()) == classes

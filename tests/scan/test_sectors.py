@@ -12,7 +12,7 @@ from bumpymap.core import BadInputError, GridSettings, PolarSettings, Scan, Usag
 from bumpymap.lab.label_sets import LABEL_SETS
 from bumpymap.readers import read_scan
 from bumpymap.scan import ScanClassifier, classify_filter, classify_learned, polar_sectors
-from bumpymap.scan.cells import lay_grid
+from bumpymap.scan.cells import see_cells
 
 
 def made_scan(seed, count=40_000, labels=False):
@@ -390,7 +390,7 @@ def seen(height_at, sensor_m=1.2, lines=64, seed=0):
 
 
 def grid_of(points):
-    return lay_grid(points, classify_filter(polar_sectors(Scan(points))), CELLS)
+    return see_cells(points, classify_filter(polar_sectors(Scan(points))), CELLS).finish(CELLS.resolution_m)
 
 
 def occupancy_of(points):
@@ -563,7 +563,7 @@ def test_cells_of_ground_are_free_and_cells_of_obstacles_barred(shared_data, fra
     """Cells that hold nothing but labelled ground, and those that hold points of labelled obstacles."""
     scan, kinds = read_scan(next((shared_data / "scans").glob(f"*/{frame}.bin"))), LABEL_SETS[labels]
     stack = polar_sectors(scan)
-    grid = lay_grid(scan.points, classify_filter(stack), CELLS)
+    grid = see_cells(scan.points, classify_filter(stack), CELLS).finish(CELLS.resolution_m)
     label = scan.label & 0xFFFF if labels == "semantic-kitti" else scan.label
     inside = (np.abs(scan.points[:, :2]) < 20.0).all(axis=1) & (stack.point_sector >= 0)
     ground, solid = np.isin(label, [*kinds.ground]), np.isin(label, [*kinds.obstacle])

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import spearmanr
 from sklearn.metrics import roc_auc_score
-from tables import MeasuredSurvey
+from tables import MeasuredSurvey, number
 
 from bumpymap.core import Reason
-from bumpymap.lab.evaluate import number, percent, table
+from bumpymap.lab.evaluate import percent, table
 from bumpymap.lab.settings import DriveSettings
 from bumpymap.lab.simulate.drive import drive_patch
 from bumpymap.rating import Calibration, RideModel, TextureModel, Vehicle, classify, rate

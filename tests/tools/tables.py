@@ -7,6 +7,7 @@ V are those of scans.
 """
 
 import argparse
+import math
 import sys
 import time
 from itertools import islice
@@ -17,7 +18,7 @@ import pandas as pd
 
 import bumpymap
 from bumpymap.core import CLASS_NAMES, BadInputError, FeatureSettings, decide_ground
-from bumpymap.lab.evaluate import number, percent, table
+from bumpymap.lab.evaluate import percent, table
 from bumpymap.patches import decks_as_ground, measure
 from bumpymap.rating import Calibration, TextureModel, classify, rate_as_paper
 from bumpymap.readers import PointStats, ReadOptions, find_frames, find_surveys, open_survey, read_scan
@@ -46,6 +47,11 @@ NO_LABELS = (
     "the included network, which learned from simulated scenes."
 )
 NO_SCANS = "Tables IV and V are of scans: give frames with --scans."
+
+
+def number(value):
+    """Format a number with three significant digits; a dash if it is not finite."""
+    return f"{value:.3g}" if math.isfinite(value) else "-"
 
 
 class MeasuredSurvey:

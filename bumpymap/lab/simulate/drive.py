@@ -31,6 +31,8 @@ _SIDE_GAIN = 0.5
 """Tangent of the commanded heading correction per metre of lateral offset, 1/m."""
 _MAX_STEERING = 0.5
 """Largest speed difference that steering may command, as a share of the speed."""
+_LIBRARY_WHEEL_M = 0.3
+"""The library's heights suit wheels of this radius; for other radii they are scaled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,14 +56,6 @@ class Drive:
     """rad/m; NaN unless completed."""
     path_m: float
     """Horizontal length of the chassis' path during the measurement."""
-
-
-def drive(profile: Vehicle, ground: DrivenGround, seed: int, settings: DriveSettings) -> Drive:
-    """Drive over unbounded ground from a start and at a heading that are drawn from a seed.
-
-    The same seed gives the same bits in any process.
-    """
-    return drive_from(profile, ground, draw_start(ground, np.random.default_rng(seed)), settings)
 
 
 def draw_start(ground: DrivenGround, rng: np.random.Generator) -> Start:
@@ -194,8 +188,8 @@ def drive_patch(
     """
     ground = PatchGround.from_heights(heights, tile_size)
     streams = (np.random.SeedSequence(seed, spawn_key=(*stream, start)) for start in range(starts))
-    seeds = (int(own.generate_state(1, np.uint64)[0]) for own in streams)
-    return PatchDrives.of([drive(profile, ground, own, settings) for own in seeds])
+    draws = (np.random.default_rng(int(own.generate_state(1, np.uint64)[0])) for own in streams)
+    return PatchDrives.of([drive_from(profile, ground, draw_start(ground, rng), settings) for rng in draws])
 
 
 def calibrated_settings(calibration: Calibration) -> CalibrationSettings:
@@ -214,7 +208,7 @@ def library_terrain(settings: CalibrationSettings, kind: str, index: int) -> Ter
         kind,
         settings.seed,
         index,
-        height_scale=settings.height_scale,
+        height_scale=settings.profile.wheel.radius_m / _LIBRARY_WHEEL_M,
         slope_limit_deg=settings.profile.slope_limit_deg,
         tile_size=settings.tile_size,
         pixels=settings.pixels,

@@ -134,14 +134,13 @@ class DriveJob:
     """Number of drives that it counts for in the progress."""
 
 
-JobType = TypeVar("JobType", bound=DriveJob)
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 
 def drive_jobs(
-    task: Callable[[JobType], Result],
-    jobs: Sequence[JobType],
+    task: Callable[[DriveJob], Result],
+    jobs: Sequence[DriveJob],
     progress: Progress | None = None,
     *,
     workers: int = 1,

@@ -35,15 +35,13 @@ from bumpymap.rating import (
     Vehicle,
     denoise,
     fail_features,
-    fail_terms,
     find_strengths,
     log_points,
     ride_features,
-    ride_terms,
     roll_over,
-    spread_terms,
     subtract_noise,
     thin_columns,
+    thin_terms,
 )
 from bumpytiles import Grid, TileBuckets, TilePoints
 
@@ -285,8 +283,7 @@ def _calibrate_spread(
 
 def student_factor(drives: NDArray[np.int64]) -> Floats:
     """Return Student's t quantile over the normal one for a mean of that many drives (first Cornish-Fisher term)."""
-    wider: Floats = 1 + (NORMAL_80**2 + 1) / (4 * (drives.astype(np.float64) - 1))
-    return wider
+    return 1 + (NORMAL_80**2 + 1) / (4 * (drives.astype(np.float64) - 1))
 
 
 def _fit_logistic(terms: Floats, failed: NDArray[Any], completed: NDArray[Any], penalty: float) -> Floats:
@@ -383,7 +380,7 @@ def _fit_thin(
     ride = np.log(np.maximum(columns[:, THIN_COLUMNS.index("pitch_change")], _LEAST_C_R))
     certain = error < np.quantile(error, _CERTAIN)
     felt = (*of_noise, float(np.median((ride - ground)[certain])))
-    terms = ride_terms(columns, strength, felt, relief)
+    terms, widths, fails = thin_terms(columns, strength, felt, relief)
     target = log_c_r - (ground - np.clip(ground, *relief))
     predicted = np.empty(len(target))
     for part in range(_THIN_FOLDS):
@@ -391,7 +388,6 @@ def _fit_thin(
         predicted[~rest] = terms[~rest] @ _robust_fit(terms[rest], target[rest], sure[rest])
     residual = target - predicted
     # ln of the size of the residuals; then both sides are scaled so that a tenth of the residuals lie beyond each.
-    widths = spread_terms(columns, strength, felt, relief)
     spread = _robust_fit(widths, np.log(np.maximum(np.abs(residual), _LEAST_RESIDUAL)), sure)
     known = np.hypot(np.exp(widths @ spread), error)
     low, high = np.quantile(residual / known, (TAIL, 1 - TAIL)) / NORMAL_80
@@ -399,7 +395,6 @@ def _fit_thin(
     # alike, so that a tile about which the points say nothing is as likely to fail as not.
     failing = float(np.clip(p_fail.mean(), 1e-6, 1 - 1e-6))
     balance = 0.5 * (p_fail / failing + (1 - p_fail) / (1 - failing))
-    fails = fail_terms(columns, strength, felt)
     return ThinModel(
         relief=relief,
         felt=felt,

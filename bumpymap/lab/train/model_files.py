@@ -148,8 +148,7 @@ def predict(net: nn.Module, *inputs: torch.Tensor) -> NDArray[np.float32]:
     with torch.no_grad():
         batches = zip(*(torch.split(values, _BATCH) for values in inputs), strict=True)
         parts = [net(*batch).softmax(1) for batch in batches]
-    probability: NDArray[np.float32] = torch.cat(parts).numpy()
-    return probability
+    return torch.cat(parts).numpy()
 
 
 @contextmanager
@@ -233,8 +232,7 @@ class OnnxGraph:
         )
         helper.set_model_props(model, {k: v if isinstance(v, str) else json.dumps(v) for k, v in metadata.items()})
         onnx.checker.check_model(model, full_check=True)
-        content: bytes = model.SerializeToString(deterministic=True)
-        return content
+        return model.SerializeToString(deterministic=True)
 
 
 def convolution(source: int, target: int, size: int, **options: Any) -> nn.Sequential:

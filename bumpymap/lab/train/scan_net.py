@@ -219,8 +219,7 @@ class ScanNet(nn.Module):
         x = x.mean(dim=(2, 3), keepdim=True)  # (n, 24, 1, 1)
         joined = nn.functional.relu6(self.measures(measures[:, :, None, None]))  # (n, 16, 1, 1)
         x = nn.functional.relu6(self.hidden(torch.cat((x, joined), dim=1)))  # (n, 48, 1, 1)
-        logits: torch.Tensor = self.head(x).flatten(1)  # (n, 3)
-        return logits
+        return self.head(x).flatten(1)  # (n, 3)
 
 
 def train(

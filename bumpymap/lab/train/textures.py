@@ -137,8 +137,7 @@ def rotate(patches: Floats, angle: Floats) -> Floats:
     which = np.arange(count)[:, None, None]
     upper = patches[which, r, c] * (1 - right) + patches[which, r, c + 1] * right
     lower = patches[which, r + 1, c] * (1 - right) + patches[which, r + 1, c + 1] * right
-    turned: Floats = upper * (1 - down) + lower * down
-    return turned
+    return upper * (1 - down) + lower * down
 
 
 def _mirror(position: Floats, pixels: int) -> Floats:
@@ -153,8 +152,7 @@ def blur(patches: Floats, sigma: Floats) -> Floats:
     distance = axis[None, :] - axis[:, None]
     kernel = np.exp(-0.5 * (distance / np.maximum(sigma, 1e-3)[:, None, None]) ** 2)
     kernel /= kernel.sum(axis=2, keepdims=True)
-    blurred: Floats = kernel @ patches @ kernel.transpose(0, 2, 1)
-    return blurred
+    return kernel @ patches @ kernel.transpose(0, 2, 1)
 
 
 def fill_holes(patches: Floats) -> Floats:
@@ -236,7 +234,8 @@ class TextureNet(nn.Module):
         self.conv3 = convolution(b, c, 3, padding=1)
         self.conv4 = convolution(c, d, 3, padding=int(settings.pixels < 11))
         self.conv5 = convolution(d + MEASURES, settings.hidden, 1)
-        self.head = nn.Conv2d(settings.hidden, len(settings.classes), 1)
+        self.head = nn.Conv2d(settings.hidden, len(TEXTURES), 1)
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # a quarter faster
 
     def forward(self, patches: torch.Tensor, measures: torch.Tensor) -> torch.Tensor:
         """Return logits (n, classes) of patches (n, 1, pixels, pixels) scaled to [0, 1] and `measures_of`, (n, 3)."""
@@ -253,15 +252,9 @@ def train(
     settings: TrainSettings, checkpoint: Path | None = None, progress: Callable[[EpochReport], None] | None = None
 ) -> TextureNet:
     """Train a network; see `train_network`. The same settings give the same bits on the same machine and libraries."""
-
-    def network() -> TextureNet:
-        net = TextureNet(settings.network)
-        net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # a quarter faster
-        return net
-
     return train_network(
         settings,
-        network,
+        lambda: TextureNet(settings.network),
         lambda numbers: _epochs(settings, numbers),
         lambda share: _learning_rate(share, settings.learning_rate),
         {"feature_version": FEATURE_VERSION},
@@ -365,9 +358,10 @@ def make_model(settings: TrainSettings, out: Path, progress: Callable[[EpochRepo
         net = train(settings, checkpoint, progress)
         evaluation = evaluate(net, settings.seed, settings.patches_per_texture, UNSEEN_PER_TEXTURE)
         network = settings.network
+        names = ("seed", "epochs", "patches_per_texture", "network.pixels", "tile_size", "threads")
         metadata = {
             **versions("bumpymap-textures"),
-            "classes": list(network.classes),
+            "classes": list(TEXTURES),
             "pixels": network.pixels,
             "tile_size": settings.tile_size,
             "feature_version": FEATURE_VERSION,
@@ -375,7 +369,7 @@ def make_model(settings: TrainSettings, out: Path, progress: Callable[[EpochRepo
             "hidden": network.hidden,
             "parameters": evaluation.parameters,
             "seed": settings.seed,
-            "command": settings.command,
+            "command": f"bumpymap train textures {settings.as_options(*names)}",
             "accuracy_unseen": evaluation.unseen.right,
             "confusion_unseen": evaluation.unseen.confusion,
             "accuracy_level": evaluation.level.right,

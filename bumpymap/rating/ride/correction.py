@@ -52,10 +52,6 @@ class Prediction:
     p_fail: Floats
     """(n,) 0..1."""
 
-    def each(self, change: Callable[[Floats], Floats]) -> "Prediction":
-        """Return it with all four arrays changed alike: reshaped, or a part of each."""
-        return Prediction(*map(change, (self.log_c_r, self.below, self.above, self.p_fail)))
-
     def at_speed(self, log_ratio: Floats, log_sd: float) -> "Prediction":
         """Return it at another speed: C_r times exp(``log_ratio``), with an error more of that size in ln C_r."""
         return Prediction(
@@ -199,8 +195,7 @@ class Correction(Coefficients):
         low = np.minimum(place.astype(np.int64), len(knots) - 2)
         part = place - low
         each = np.arange(len(known))
-        value: Floats = rows[low, each] * (1 - part) + rows[low + 1, each] * part
-        return value
+        return np.asarray(rows[low, each] * (1 - part) + rows[low + 1, each] * part)
 
 
 def subtract_noise(pitch_change: Floats, noise_felt: Floats) -> tuple[Floats, Floats]:
@@ -257,5 +252,4 @@ def fail_features(rides: Rides, slope_deg: Floats) -> Floats:
 def _unevenness(rides: Rides) -> Floats:
     """Return ln (RMS of the pitch change / its mean): 0.23 for a normal distribution, more for single bumps."""
     size = np.maximum(rides.pitch_change, _MIN_C_R)
-    uneven: Floats = np.log(np.maximum(rides.pitch_change_rms, size) / size)
-    return uneven
+    return np.log(np.maximum(rides.pitch_change_rms, size) / size)

@@ -193,13 +193,6 @@ def _compressed(node: NDArray[np.int64], weight: Floats) -> PitchSamples:
     return PitchSamples(starts.astype(np.int32), *entries, np.array([0, samples]))
 
 
-def joined(parts: Sequence[PitchSamples]) -> PitchSamples:
-    """Put the rows of parts one after the other, and their groups."""
-    starts, node, weight, bounds = zip(*parts, strict=True)
-    rows, groups = (np.cumsum(np.concatenate(([0], *map(np.diff, ends)))) for ends in (starts, bounds))
-    return PitchSamples(rows.astype(np.int32), np.concatenate(node), np.concatenate(weight), groups)
-
-
 _RIDE_SAMPLES, _POSE_SAMPLES = 128, 16
 """Samples before the eight symmetries."""
 _MOST_TAPS, _SETTLED = 400, 0.01
@@ -302,8 +295,7 @@ def chassis_response(vehicle: Vehicle, way: float) -> Floats:
         if abs(before - 1) < _SETTLED and abs(state[1]) * seconds < _SETTLED:
             break
     response = np.array(taps)
-    scaled: Floats = response / response.sum()
-    return scaled
+    return np.asarray(response / response.sum())
 
 
 def _exponential(matrix: Floats) -> Floats:
@@ -347,8 +339,7 @@ def cosines(pixels: int) -> Floats:
     """Orthonormal cosines (DCT-II), (order, pixel): those of a line that is mirrored at its ends."""
     k, i = np.arange(pixels)[:, None], np.arange(pixels)[None, :]
     scale = np.where(k == 0, 1.0, 2.0) / pixels
-    waves: Floats = np.sqrt(scale) * np.cos(np.pi * (i + 0.5) * k / pixels)
-    return waves
+    return np.sqrt(scale) * np.cos(np.pi * (i + 0.5) * k / pixels)
 
 
 def interpolation(pixels: int, fine: int) -> Floats:
@@ -436,7 +427,10 @@ class MotionOperator:
             groups.append(pitch_change(lattice, places, chassis_response(replace(vehicle, speed_mps=speed), way)))
             felt, back = heave_filter(speed, min(way, speed / (_PER_WAVE * WEIGHTED_BAND_HZ[1])))
             groups.append(wheel_rows(lattice, places, (1, 1, 1, 1), felt / 4, back))
-        return cls(tuple(speeds), lattice.fine, lattice.wheel, joined(groups))
+        starts, node, weight, bounds = zip(*groups, strict=True)
+        rows, ends = (np.cumsum(np.concatenate(([0], *map(np.diff, each)))) for each in (starts, bounds))
+        samples = PitchSamples(rows.astype(np.int32), np.concatenate(node), np.concatenate(weight), ends)
+        return cls(tuple(speeds), lattice.fine, lattice.wheel, samples)
 
 
 def move_over(relief_map: NDArray[np.float32], operator: MotionOperator) -> Motions:
@@ -489,21 +483,18 @@ def weighting_wk(frequency: NDArray[np.floating]) -> NDArray[np.complex128]:
     low_pass = 1 / _second_order(p / high, np.sqrt(0.5))
     transition = (1 + p / velocity) / _second_order(p / velocity, _VELOCITY_Q)
     step = _second_order(p / first, _STEP_Q) / _second_order(p / second, _STEP_Q) * (first / second) ** 2
-    response: NDArray[np.complex128] = high_pass * low_pass * transition * step
-    return response
+    return np.asarray(high_pass * low_pass * transition * step)
 
 
 def felt_response(frequency: NDArray[np.floating]) -> NDArray[np.complex128]:
     """Return the weighted acceleration [m/s2] for a vertical motion of 1 m at frequencies [Hz], up to 10 Hz."""
     p: NDArray[Any] = 1j * frequency / WEIGHTED_BAND_HZ[1]
     cut = _second_order(p, _CUT_Q[0]) * _second_order(p, _CUT_Q[1])
-    response: NDArray[np.complex128] = (2j * np.pi * frequency) ** 2 * weighting_wk(frequency) / cut
-    return response
+    return np.asarray((2j * np.pi * frequency) ** 2 * weighting_wk(frequency) / cut)
 
 
 def _second_order(p: NDArray[Any], quality: float) -> NDArray[Any]:
-    section: NDArray[Any] = 1 + p / quality + p**2
-    return section
+    return np.asarray(1 + p / quality + p**2)
 
 
 _SAMPLES = 128

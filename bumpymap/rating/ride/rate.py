@@ -158,10 +158,10 @@ def interval(found: Prediction, floor: float) -> tuple[Floats, Floats, Floats]:
 
 
 def judge(found: Prediction, slope: NDArray[np.floating], calibration: Calibration) -> tuple[NDArray[np.int64], Floats]:
-    """Return class and its probability of n predictions.
+    """Return class and its probability of predictions of any shape.
 
-    Where the ground is steeper than the vehicle's limit (``slope``, (n,) degrees), or at least ``FAIL_SHARE`` of the
-    drives fail, the class is the roughest. The floor plays no part: predictions and limits are those of drives.
+    Where the ground is steeper than the vehicle's limit (``slope``, of that shape, degrees), or at least ``FAIL_SHARE``
+    of the drives fail, the class is the roughest. The floor plays no part: predictions and limits are those of drives.
     """
     class_id = np.searchsorted(np.log(calibration.class_limits), found.log_c_r, side="right")
     chance = class_chance(class_id, found.log_c_r, (found.below, found.above), calibration.class_limits)
@@ -195,8 +195,7 @@ def remove_plane(patches: NDArray[np.floating]) -> Floats:
     slope_row = np.einsum("nij,i->n", heights, axis) * weight
     slope_col = np.einsum("nij,j->n", heights, axis) * weight
     plane = slope_row[:, None, None] * axis[:, None] + slope_col[:, None, None] * axis[None, :]
-    residual: Floats = heights - plane
-    return residual
+    return np.asarray(heights - plane)
 
 
 def match_noise(
@@ -303,5 +302,4 @@ def felt_along(
     reaches, slopes = (np.tile(values, len(pitch)) for values in (reach, slope_deg))
     none = np.zeros(pitch.size)
     rides = Rides(size.ravel(), rms.ravel(), about.ravel(), none, reaches, none, none)
-    felt: Floats = np.exp(correction.without_noise(rides, slopes)).reshape(pitch.shape) * change / size
-    return felt
+    return np.exp(correction.without_noise(rides, slopes)).reshape(pitch.shape) * change / size

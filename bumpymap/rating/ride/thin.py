@@ -238,15 +238,15 @@ class ThinModel(Coefficients):
     """ln of the pitch change over the filled heightmap [rad/m per m]: of noise alone over the noise, constant and per
     ln of the points; of ground over its strength."""
     c_r: tuple[float, ...]
-    """Coefficients of `ride_terms`."""
+    """Coefficients of the first of `thin_terms`."""
     spread: tuple[float, ...]
-    """Coefficients of `spread_terms`: ln of the standard deviation of ln C_r where the ground's strength is known."""
+    """Of the second: ln of the standard deviation of ln C_r where the ground's strength is known."""
     sides: tuple[float, float]
     """Factors below and above the median on that and the error of the strength."""
     own_spread: float
     """Standard deviation of ln C_r of the ride model itself."""
     fail: tuple[float, ...]
-    """Coefficients of `fail_terms`, in logits."""
+    """Of the third, in logits."""
     origin: dict[str, Any]
     """The data of the fit, and its errors."""
 
@@ -255,11 +255,11 @@ class ThinModel(Coefficients):
 
         ``columns`` (n, 44): of `thin_columns`; ``strength``: of `find_strengths`, (n,) each.
         """
-        inputs = (columns, strength, self.felt, self.relief)
+        ride, spread, fail = thin_terms(columns, strength, self.felt, self.relief)
         beyond = strength.ground - np.clip(strength.ground, *self.relief)
-        log_c_r = ride_terms(*inputs) @ np.array(self.c_r) + beyond
-        sd = np.hypot(np.exp(spread_terms(*inputs) @ np.array(self.spread)), strength.ground_sd)
-        logit = np.clip(fail_terms(columns, strength, self.felt) @ np.array(self.fail), -_MOST_LOGIT, _MOST_LOGIT)
+        log_c_r = ride @ np.array(self.c_r) + beyond
+        sd = np.hypot(np.exp(spread @ np.array(self.spread)), strength.ground_sd)
+        logit = np.clip(fail @ np.array(self.fail), -_MOST_LOGIT, _MOST_LOGIT)
         below, above = (np.hypot(self.own_spread, side * sd) for side in self.sides)
         return Prediction(log_c_r, below, above, 1.0 / (1.0 + np.exp(-logit)))
 
@@ -277,62 +277,46 @@ def _log_points(columns: Floats) -> Floats:
     return log_points(_column(columns, "points"))
 
 
-def _form(columns: Floats, strength: Strength, felt: tuple[float, ...]) -> tuple[Floats, Floats]:
-    """Return ln of the filled heightmap's pitch change over a usual one, and the share of the ground in it.
-
-    Usual for ground of that strength under that noise.
-    """
-    of_ground = 2.0 * (strength.ground + felt[2])
-    both = np.logaddexp(of_ground, 2.0 * (strength.noise + felt[0] + felt[1] * _log_points(columns)))
-    ride = np.log(np.maximum(_column(columns, "pitch_change"), _ZERO))
-    return ride - 0.5 * both, np.exp(of_ground - both)
-
-
 def _with_points(terms: Floats, columns: Floats) -> Floats:
     """Return terms, their products with ln of the points, and the share of the tile that is not seen."""
     return np.column_stack((terms, terms * _log_points(columns)[:, None], 1.0 - _column(columns, "seen")))
 
 
-def ride_terms(columns: Floats, strength: Strength, felt: tuple[float, ...], relief: tuple[float, float]) -> Floats:
-    """Return the terms of ln C_r, (n, terms)."""
-    ground, (form, share) = np.clip(strength.ground, *relief), _form(columns, strength, felt)
-    terms = np.column_stack(
+def thin_terms(
+    columns: Floats, strength: Strength, felt: tuple[float, ...], relief: tuple[float, float]
+) -> tuple[Floats, Floats, Floats]:
+    """Return the terms of ln C_r, of ln of its standard deviation, and of the logit of p_fail, (n, terms) each.
+
+    Two of them are ln of the filled heightmap's pitch change over a usual one, for ground of that strength under that
+    noise, and the share of the ground in it.
+    """
+    of_ground = 2.0 * (strength.ground + felt[2])
+    both = np.logaddexp(of_ground, 2.0 * (strength.noise + felt[0] + felt[1] * _log_points(columns)))
+    ride = _column(columns, "pitch_change")
+    log_ride = np.log(np.maximum(ride, _ZERO))
+    form, share = log_ride - 0.5 * both, np.exp(of_ground - both)
+    one, ground, slope = np.ones(len(columns)), np.clip(strength.ground, *relief), _column(columns, "slope")
+    tilt = np.minimum(slope, 5.0)
+    of_ride = np.column_stack((one, ground, ground**2, share * form, slope))
+    of_spread = np.column_stack((one, ground, share * np.clip(form, -3.0, 3.0)))
+    of_fail = np.column_stack(
         (
-            np.ones(len(columns)),
-            ground,
-            ground**2,
-            share * form,
-            _column(columns, "slope"),
-        )
-    )
-    return _with_points(terms, columns)
-
-
-def spread_terms(columns: Floats, strength: Strength, felt: tuple[float, ...], relief: tuple[float, float]) -> Floats:
-    """Return the terms of ln of the standard deviation, (n, terms)."""
-    ground, (form, share) = np.clip(strength.ground, *relief), _form(columns, strength, felt)
-    terms = np.column_stack((np.ones(len(columns)), ground, share * np.clip(form, -3.0, 3.0)))
-    return np.column_stack((_with_points(terms, columns), ground**2))
-
-
-def fail_terms(columns: Floats, strength: Strength, felt: tuple[float, ...]) -> Floats:
-    """Return the terms of the logit of p_fail, (n, terms)."""
-    ride, (_, share) = _column(columns, "pitch_change"), _form(columns, strength, felt)
-    slope = np.minimum(_column(columns, "slope"), 5.0)
-    terms = np.column_stack(
-        (
-            np.ones(len(columns)),
-            np.log(np.maximum(ride, _ZERO)) + 0.5 * np.log(np.maximum(share, _LEAST_SHARE)),
+            one,
+            log_ride + 0.5 * np.log(np.maximum(share, _LEAST_SHARE)),
             strength.ground,
             np.log(np.maximum(_column(columns, "pitch"), _ZERO)),
             np.log(np.maximum(_column(columns, "twist"), _ZERO)),
             np.log(np.maximum(_column(columns, "pitch_change_rms"), ride + _ZERO) / (ride + _ZERO)),
             np.minimum(_column(columns, "belly"), 3.0),
-            slope,
-            slope**2,
+            tilt,
+            tilt**2,
         )
     )
-    return np.column_stack((_with_points(terms, columns), share))
+    return (
+        _with_points(of_ride, columns),
+        np.column_stack((_with_points(of_spread, columns), ground**2)),
+        np.column_stack((_with_points(of_fail, columns), share)),
+    )
 
 
 _ALL_THIN = 0.35
@@ -377,7 +361,7 @@ def rate_thin(
     Raises BadInputError if the model of thin surveys of the calibration is damaged.
     """
     model = _model(calibration)
-    weight = _ride_weight(first, coverage)
+    weight = np.where(first.class_id != NO_CLASS, dense_share(coverage), 0.0)  # of the first pass
     reason = np.where(is_rateable(columns, first.reason) & (weight < 1.0), np.uint8(Reason.OK), first.reason)
     asked = reason == Reason.OK
     weight, slope, reason, before = *(_without(values, ring) for values in (weight, slope, reason)), first.inner(ring)
@@ -422,11 +406,6 @@ def _model(calibration: Calibration) -> ThinModel:
     return ThinModel.from_record(calibration.thin)
 
 
-def _ride_weight(first: BlockRating, coverage: NDArray[np.floating]) -> Floats:
-    """Return the weight of the first pass in the rating of each tile: 0 of thin and unknown tiles, 1 of dense ones."""
-    return np.where(first.class_id != NO_CLASS, dense_share(coverage), 0.0)
-
-
 def dense_share(coverage: NDArray[np.floating]) -> Floats:
     """Return how far the heightmap of a tile counts: 0 up to a coverage of 0.35, 1 from 0.75, of any shape."""
     return np.clip((np.nan_to_num(coverage.astype(np.float64)) - _ALL_THIN) / (DENSE_COVERAGE - _ALL_THIN), 0.0, 1.0)
@@ -461,8 +440,7 @@ def _as_rating(
     found: Prediction, slope: NDArray[np.floating], reason: NDArray[np.uint8], calibration: Calibration
 ) -> BlockRating:
     """Turn predictions into what is stored, by the rules of the ride rating."""
-    line = judge(found.each(np.ravel), slope.ravel(), calibration)
-    class_id, chance = (values.reshape(slope.shape) for values in line)
+    class_id, chance = judge(found, slope, calibration)
     c_r, low, high = interval(found, calibration.map_floor)
     return BlockRating(
         class_id=class_id.astype(np.uint8),
