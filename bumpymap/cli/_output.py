@@ -31,6 +31,7 @@ from bumpymap.core import Progress as BaseProgress, SilentProgress, escape_contr
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress, TaskID
 
 _NAMES: dict[str, str] = {}
 """Setting -> how the command that runs takes it, where that is not ``--setting``: ``--from``, ``--set pixels``."""
@@ -162,13 +163,6 @@ def is_plain(*, error: bool = False) -> bool:
     )
 
 
-def error_console() -> "Console":
-    """Return a console on standard error, for progress bars."""
-    from rich.console import Console
-
-    return Console(stderr=True, highlight=False, markup=False, emoji=False)
-
-
 def _write(text: str) -> None:
     stream = sys.stdout
     if stream is None:
@@ -189,12 +183,10 @@ def _encodable(text: str, stream: TextIO) -> str:
 
 def _silence(stream: TextIO) -> None:
     """Discard the buffer of a broken stream, which the interpreter would otherwise report at exit."""
-    try:
+    with suppress(OSError, ValueError):  # a stream of a caller, without a file
         nothing = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nothing, stream.fileno())
         os.close(nothing)
-    except (OSError, ValueError):  # a stream of a caller, without a file
-        pass
 
 
 def cell(value: float, form: str, unknown: str = "") -> str:
@@ -269,10 +261,6 @@ def interrupt_note(note: str) -> Iterator[None]:
         end.add_note(note)
         raise
 
-
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.progress import Progress, TaskID
 
 Clock = Callable[[], float]
 _LINE_SECONDS, _EVENT_SECONDS = 30.0, 10.0
@@ -372,7 +360,9 @@ def show_progress(*, quiet: bool = False, as_json: bool = False) -> Iterator[Com
         with _calling_every(ticked.tick, every):
             yield ticked
     else:
-        with moving_bars(error_console()) as bars:
+        from rich.console import Console
+
+        with moving_bars(Console(stderr=True, highlight=False, markup=False, emoji=False)) as bars:
             yield bars
 
 

@@ -4,6 +4,7 @@ import shlex
 import shutil
 import sys
 import threading
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict
@@ -31,8 +32,8 @@ from bumpymap.core import (
 from bumpymap.survey import BatchConfig
 
 if TYPE_CHECKING:
-    from bumpymap.layers import MapSummary
-    from bumpymap.survey import MapResult
+    from bumpymap.layers import MapSummary, SurveyRow, SurveyStatus
+    from bumpymap.survey import BatchReport, BatchResult, MapResult
 
 _SAMPLE = Path("sample_data") / "quarry.laz"
 """In an installed package it lies inside, in the sources beside it."""
@@ -252,10 +253,6 @@ def _record(result: "MapResult", config: MapConfig) -> dict[str, object]:
     }
 
 
-if TYPE_CHECKING:
-    from bumpymap.layers import SurveyRow, SurveyStatus
-    from bumpymap.survey import BatchReport, BatchResult
-
 _CONTINUE = "Give the same command again to continue."
 _BAD: tuple["SurveyStatus", ...] = ("failed", "incomplete", "not reached")
 _MOST_LISTED = 20
@@ -267,8 +264,8 @@ _MOST_LISTED = 20
     settings_options(BatchConfig, required=("out",)),
     settings_options(
         MapConfig,
-        without=("out",),
-        moved=(
+        without=(
+            "out",
             "xy_unit",
             "z_unit",
             "local",
@@ -326,15 +323,11 @@ def _batch_reporter(progress: CommandProgress) -> "BatchReport":
     return report
 
 
-def _batch_counts(result: "BatchResult") -> dict["SurveyStatus", int]:
-    return {status: len(result.with_status(status)) for status in dict.fromkeys(row.status for row in result.rows)}
-
-
 def _batch_record(result: "BatchResult", out: Path) -> dict[str, Any]:
     return {
         "out": str(out),
         "surveys": len(result.rows),
-        "counts": _batch_counts(result),
+        "counts": Counter(row.status for row in result.rows),
         "failed": {row.name: row.message for row in result.with_status(*_BAD)},
         "warnings": {row.name: list(row.warnings) for row in result.rows if row.warnings},
     }
@@ -343,9 +336,8 @@ def _batch_record(result: "BatchResult", out: Path) -> dict[str, Any]:
 def _batch_lines(result: "BatchResult", out: Path) -> Iterator[str]:
     """Say how many surveys are done, and which are not."""
     warned = sum(bool(row.warnings) for row in result.rows)
-    listed = [f"{count} {status}" for status, count in _batch_counts(result).items()] + [
-        f"{warned} with warnings"
-    ] * bool(warned)
+    counts = Counter(row.status for row in result.rows)
+    listed = [f"{count} {status}" for status, count in counts.items()] + [f"{warned} with warnings"] * bool(warned)
     yield (f"{count_text(len(result.rows), 'survey')}: {', '.join(listed)}")
     lines = [f"  {row.name} {row.status}: {row.message}" for row in result.with_status(*_BAD)]
     lines += [f"  {row.name}, warning: {warning}" for row in result.rows for warning in row.warnings]

@@ -27,7 +27,9 @@ from bumpymap.core import (
 
 if TYPE_CHECKING:
     from bumpymap.change import ChangeResult
+    from bumpymap.layers import MapReader
     from bumpymap.rating import Vehicle
+    from bumpymap.views import Export
 
 _WITH_SETTINGS = (
     *("map", "batch", "info", "scan", "route", "check", "diff", "export", "calibrate", "report"),
@@ -275,10 +277,6 @@ def _calibration(vehicle: str) -> str:
     tiles = f"tiles of {found.tile_size:g} m with {found.pixels} pixels"
     return f"{found.id}, {tiles}; bumpymap map --vehicle {shlex.quote(vehicle)}"
 
-
-if TYPE_CHECKING:
-    from bumpymap.layers import MapReader
-    from bumpymap.views import Export
 
 _ONLY_FOR: dict[str, tuple[ExportFormat, ...]] = {
     "around": ("nav2", "gridmap", "cost"),
