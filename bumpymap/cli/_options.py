@@ -109,13 +109,12 @@ class GroupedCommand(click.Command):
         """Write the options under the headings of their groups."""
         rows: dict[str, list[tuple[str, str]]] = {group: [] for group in GROUPS}
         shown = [each for each in self.params if isinstance(each, GroupedOption) and each not in COMMON_OPTIONS]
-        records = [(each.group, each.get_help_record(ctx)) for each in shown]
-        width = max((len(record[0]) for _, record in records if record), default=0)
+        records = [(each.group, record) for each in shown if (record := each.get_help_record(ctx))]
+        width = max((len(spelled) for _, (spelled, _) in records), default=0)
         if width:
             formatter.write_paragraph()
-        for group, record in records:
-            if record:
-                rows[group].append((record[0].ljust(width), record[1]))
+        for group, (spelled, text) in records:
+            rows[group].append((spelled.ljust(width), text))
         for group, options in rows.items():
             if options:
                 formatter.write_heading(group)

@@ -262,7 +262,6 @@ def interrupt_note(note: str) -> Iterator[None]:
         raise
 
 
-Clock = Callable[[], float]
 _LINE_SECONDS, _EVENT_SECONDS = 30.0, 10.0
 """Time between two lines of progress without a terminal, and between two JSON events, s."""
 
@@ -307,7 +306,7 @@ class _Bars:
 class TickedProgress:
     """Counts the steps of a stage; each `tick` prints a line with the time since the run began, or an event."""
 
-    def __init__(self, clock: Clock = time.monotonic, *, as_json: bool = False) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic, *, as_json: bool = False) -> None:
         self._clock, self._begun, self._as_json = clock, clock(), as_json
         self._lock = Lock()
         self._stage, self._done, self._total = "", 0, None  # type: tuple[str, int, int | None]

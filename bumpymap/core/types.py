@@ -444,8 +444,7 @@ class CostMap:
 
     def band(self, name: str) -> NDArray[np.floating]:
         """Return the values of one of ``BANDS``, (n,)."""
-        values: NDArray[np.floating] = getattr(self if hasattr(self, name) else self.patches, name)
-        return values
+        return np.asarray(getattr(self if hasattr(self, name) else self.patches, name))
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns of `rated_columns`, one row for each tile."""

@@ -112,18 +112,14 @@ class DriveTable(NamedTuple):
         return io.BytesIO(_BLANKS.sub(b"\t", _DATE_AND_TIME.sub(rb"\1T\2", _INDENT.sub(b"", rows))))
 
 
-def refuse_large(path: Path, most: int = _MOST_BYTES) -> int:
-    """Return the size of a file.
-
-    Raises BadInputError: it has more bytes than are read at once.
-    """
+def refuse_large(path: Path, most: int = _MOST_BYTES) -> None:
+    """Raise BadInputError if a file has more bytes than are read at once."""
     size = size_of(path)
     if size > most:
         raise BadInputError(
             f"{path} has {size / 1e9:,.1f} GB; at most {most / 1e9:,.1f} GB are read at once. Cut it into several "
             "drives"
         )
-    return size
 
 
 def open_table(path: Path) -> DriveTable:

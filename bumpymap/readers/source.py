@@ -59,8 +59,7 @@ def read_into(location: Location, start: int, data: NDArray[np.uint8]) -> int:
 
 def size_of(location: Location) -> int:
     """Return the size of a file in bytes."""
-    size: int = version_of(location)["size"]
-    return size
+    return int(version_of(location)["size"])
 
 
 def hash_survey(location: Location) -> str:

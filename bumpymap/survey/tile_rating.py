@@ -244,10 +244,6 @@ class NeighbourWindow:
         present[cells] = True
         return cls(table, area, rings, columns, present)
 
-    def wider(self, names: Sequence[str], rings: int) -> "NeighbourWindow":
-        """Return some columns with more rings."""
-        return self.read(self.table, self.area, names, rings)
-
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self.columns[name]
 
@@ -377,7 +373,8 @@ class NeighbourRating:
         own, grid = {name: window.inner(name) for name in (*_RATED, "slope", "coverage", *_OBJECTS)}, self.config.grid
         known &= self._seen(window)
         if self.config.by_ride:
-            wide = window.wider((*_RATED, "thin", "coverage", "slope"), THIN_RING)
+            names = (*_RATED, "thin", "coverage", "slope")
+            wide = NeighbourWindow.read(window.table, window.area, names, THIN_RING)
             measured = wide["thin"], _first(wide), wide["coverage"], wide["slope"]
             own |= asdict(rate_thin(*measured, self.calibration, THIN_RING))
         solids = settle_solids(window.mosaic("objects"), grid, self.config.features.max_hole)
