@@ -186,16 +186,15 @@ class TileRating:
             objects = found[0]
             on_ground = True
         probability = None if self.models.texture is None else classify(bare, self.models.texture)
+        thin = None
         if self.ride is not None:
             rated = self.ride.rate(bare, probability)
+            # How thin a tile is, and whether it has holes, depends on its survey, and not on standing objects.
+            pairs, maps = measure_thin(points, patches, config.features, ground_only=on_ground)
+            thin = thin_columns(pairs, maps, bare.count, self.ride.operator)
         else:
             rating = rate_as_paper if config.compat == "paper" else rate
             rated = rating(bare, np.asarray(probability), self.models.calibration)
-        # How thin a tile is, and whether it has holes, depends on its survey, and not on standing objects.
-        thin = None
-        if self.ride is not None:
-            pairs, maps = measure_thin(points, patches, config.features, ground_only=on_ground)
-            thin = thin_columns(pairs, maps, bare.count, self.ride.operator)
         measured = replace(patches, relief=bare.relief, slope=bare.slope, reason=bare.reason)
         if objects is not None:
             states, size = objects.objects, points.grid.tile_size
