@@ -300,9 +300,8 @@ def batch_command(run: Run, source: Path) -> None:
     own = {name: given.pop(name) for name in ("out", "survey_per", "jobs") if name in given}
     config = BatchConfig(source, given=given, defaults=run.stored, **own)
     with interrupt_note(_CONTINUE), run.progress() as progress:
-        result = run_batch(
-            config, _batch_reporter(progress), lambda total: progress.start("surveys", total), as_options
-        )
+        report = _batch_reporter(progress)
+        result = run_batch(config, report, lambda total: progress.start("surveys", total), as_options)
     run.show(_batch_record(result, config.out), _batch_lines(result, config.out))
     if result.exit_code:
         run.ctx.exit(result.exit_code)
@@ -314,10 +313,8 @@ def _batch_reporter(progress: CommandProgress) -> "BatchReport":
     def report(row: "SurveyRow") -> None:
         progress.advance(1)
         if row.status not in _BAD:
-            points, seconds = row.points or 0, row.seconds or 0.0
-            text = (
-                f"{row.name} {row.status}: {points:,} points, {row.share_unknown or 0.0:.1%} unknown, {seconds:.1f} s"
-            )
+            points, seconds, unknown = row.points or 0, row.seconds or 0.0, row.share_unknown or 0.0
+            text = f"{row.name} {row.status}: {points:,} points, {unknown:.1%} unknown, {seconds:.1f} s"
             progress.note(text, "survey", name=row.name, status=row.status, points=points, seconds=seconds)
 
     return report

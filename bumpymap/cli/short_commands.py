@@ -60,10 +60,9 @@ def _diff_lines(result: "ChangeResult", config: DiffConfig) -> Iterator[str | Ta
     changes = [(text, f"{count:,}", share) for (text, count), share in zip(tiles.items(), shares, strict=True)]
     yield Table(changes, ("change", "tiles", "share"))
     yield "Classes before (rows) and after (columns), tiles:"
-    rows = (
-        (name, *(f"{tiles:,}" for tiles in row)) for name, row in zip(_class_names(), result.transitions, strict=True)
-    )
-    yield Table(rows, ("before", *_class_names()))
+    names = _class_names()
+    rows = ((name, *(f"{tiles:,}" for tiles in row)) for name, row in zip(names, result.transitions, strict=True))
+    yield Table(rows, ("before", *names))
     if counts["passable_lost"] or counts["passable_won"]:
         yield (
             f"of the changed tiles, {count_text(counts['passable_lost'], 'is', 'are')} no longer passable and "
@@ -331,9 +330,8 @@ def export_command(run: Run, layers: Path, out: Path, overwrite: bool) -> None:
     route_map = open_map(layers)
     done = export_map(route_map, out, _placed(settings, points, route_map), overwrite=overwrite)
     files = [path.name for path in done.files]
-    run.show(
-        {"out": str(out), "files": files, **done.record}, [*_export_lines(done), f"Files in {out}: {', '.join(files)}"]
-    )
+    lines = [*_export_lines(done), f"Files in {out}: {', '.join(files)}"]
+    run.show({"out": str(out), "files": files, **done.record}, lines)
 
 
 def _placed(settings: ExportSettings, points: Mapping[str, str], route_map: "MapReader") -> ExportSettings:

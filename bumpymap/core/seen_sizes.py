@@ -184,9 +184,8 @@ class SeenSizes:
     def record(self) -> dict[str, Any]:
         """Return the numbers and the sentence for JSON; None where nothing is known."""
         numbers = zip(SEEN_NUMBERS, (self.density, self.object_m, self.step_m), strict=True)
-        return {name: round(value, 3) if math.isfinite(value) else None for name, value in numbers} | {
-            "seen": self.sentence
-        }
+        found = {name: round(value, 3) if math.isfinite(value) else None for name, value in numbers}
+        return found | {"seen": self.sentence}
 
 
 def size_text(size_m: float) -> str:

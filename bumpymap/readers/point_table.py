@@ -245,10 +245,8 @@ class TableSurvey(SurveyReader):
             types = " and ".join(dict.fromkeys(head.types[name].name for name in self._columns[:2]))
             refuse_coarse(table.path, step, f"they are stored as {types}", options)
             if max(step, step_z) > _FINE_M:
-                lost = (
-                    f"as they are stored, its coordinates lie on steps of {max(step, step_z):g} m: fine relief is lost"
-                )
-                notes += (f"{lost}. Export it with double coordinates, or as LAS",)
+                lost = f"its coordinates lie on steps of {max(step, step_z):g} m: fine relief is lost"
+                notes += (f"as they are stored, {lost}. Export it with double coordinates, or as LAS",)
         notes += head.notes
         has_classes = self._class_column is not None
         info = SurveyInfo(table.path, head.format, head.size, head.count, place, None, has_classes, notes)

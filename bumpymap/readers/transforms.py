@@ -74,9 +74,8 @@ class FrameTree:
                 self._static.pop(child, None)  # the last one counts
             samples = self._static if static else self._moving
             part = each.transform
-            samples.setdefault(child, Trajectory(f"tf of {child}")).add(
-                each.header.stamp, part.translation, part.rotation
-            )
+            trajectory = samples.setdefault(child, Trajectory(f"tf of {child}"))
+            trajectory.add(each.header.stamp, part.translation, part.rotation)
 
     def mount(self, base: str, sensor: str) -> NDArray[np.float64] | None:
         """Return the fixed transform (4, 4) from a sensor to the base; None if it is unknown or the sensor moves."""
