@@ -545,7 +545,6 @@ def _common_crs(ordered: Sequence[_HasGeoreference], held: Sequence[CRS | None])
 
 
 def _listed(ordered: Sequence[_HasGeoreference], held: Sequence[CRS | None]) -> list[str]:
-    lines = [
-        f"  {info.path}: {describe_crs(crs) if crs else 'no CRS'}" for info, crs in zip(ordered, held, strict=True)
-    ]
+    files = zip(ordered, held, strict=True)
+    lines = [f"  {info.path}: {describe_crs(crs) if crs else 'no CRS'}" for info, crs in files]
     return lines if len(lines) <= 20 else [*lines[:20], f"  ... and {len(lines) - 20} more"]

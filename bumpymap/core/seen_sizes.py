@@ -104,9 +104,8 @@ def _density_of_sparse_parts(held: NDArray[np.bool_], mean: Floats) -> Floats:
     side = held.shape[1]
     lines = [np.count_nonzero(~held, axis=axis) for axis in (2, 1)]
     ends = np.array([0, side // 3, side - side // 3])
-    empty = np.concatenate(
-        [lines[0].sum(axis=1, keepdims=True), *(np.add.reduceat(line, ends, axis=1) for line in lines)], axis=1
-    )
+    parts = [lines[0].sum(axis=1, keepdims=True), *(np.add.reduceat(line, ends, axis=1) for line in lines)]
+    empty = np.concatenate(parts, axis=1)
     thirds = np.diff([*ends, side]) * side
     pixels = np.concatenate([[side * side], thirds, thirds]).astype(np.float64)
     chance = np.exp(-mean)[:, None]

@@ -135,9 +135,8 @@ def open_table(path: Path) -> DriveTable:
     if b"\0" in data:
         raise BadInputError(f"{path} is not a text file, and of no format that holds a drive. {_FORMATS}")
     lines = data.decode("utf-8-sig", "replace").splitlines()
-    place = next(
-        (number for number, line in enumerate(lines) if line.strip() and line.strip()[0] not in _COMMENT_SIGNS), 0
-    )
+    written = (number for number, line in enumerate(lines) if line.strip() and line.strip()[0] not in _COMMENT_SIGNS)
+    place = next(written, 0)
     # The header of RTKLIB is the last of its comments.
     header = place - 1 if place and lines[0].startswith("%") else place
     separator = next((each for each in _SEPARATORS if each in lines[header]), " ")

@@ -415,10 +415,8 @@ class NeighbourRating:
         """Return what the survey of the inner tiles would have shown."""
         step = smallest_step(steps.limit, window.inner("density"), closing_height(self.calibration))
         found = window.inner("all_density"), window.inner("smallest_object"), step
-        known = class_id != NO_CLASS
-        return {
-            name: np.where(known, values, np.float32(np.nan)) for name, values in zip(SEEN_COLUMNS, found, strict=True)
-        }
+        columns, known = zip(SEEN_COLUMNS, found, strict=True), class_id != NO_CLASS
+        return {name: np.where(known, values, np.float32(np.nan)) for name, values in columns}
 
     def _known(self, window: NeighbourWindow) -> NDArray[np.bool_]:
         """Return which tiles have a class, or will have one."""
@@ -567,9 +565,8 @@ def sides_crossed(usable: NDArray[np.bool_], steps: TileSteps, known: NDArray[np
     """
     known = known[1:-1, 1:-1]
     rows, cols = (side - 2 for side in known.shape)
-    beyond = np.stack(
-        [known[1 + down : 1 + down + rows, 1 + right : 1 + right + cols] for down, right in _BESIDE], axis=-1
-    )
+    beside = [known[1 + down : 1 + down + rows, 1 + right : 1 + right + cols] for down, right in _BESIDE]
+    beyond = np.stack(beside, axis=-1)
     alone = ~beyond.any(axis=-1, keepdims=True)
     crossed = (beyond & (usable | np.isnan(steps.border))) | alone
     return np.packbits(crossed, axis=-1, bitorder="little")[..., 0]
