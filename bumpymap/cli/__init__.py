@@ -54,8 +54,6 @@ _TOGETHER = {
     **dict.fromkeys(("batch", "demo"), "map_command"),
 }
 """Module of each command, ``NAME_command`` in it, that has none of its own."""
-_BAD = 3
-"""Exit code for a bad input file."""
 _BROKEN_PIPE = 141
 """Exit code if the reader of a pipe has closed it (SIGPIPE), as after ``| head -1``."""
 _FAULT = 1
@@ -127,17 +125,13 @@ def _call(run: Callable[[], object]) -> int:
 def _message(error: Exception) -> tuple[int, list[str]]:
     """Return exit code and message of a failure; its notes say how to continue."""
     if what := missing_resource(error):
-        return _BAD, [_WANT.format(what=what)]
+        return BumpymapError.exit_code, [_WANT.format(what=what)]
     if isinstance(error, BumpymapError | RunInterrupted):
         return error.exit_code, [str(line) for line in error.args]
     if isinstance(error, click.ClickException):
         # click puts the choices of an option that is missing into lines of their own.
-        text = error.format_message().replace("\n\t", " ")
-        return error.exit_code, [
-            text.replace("is not a valid float", "is not a number").replace(
-                "is not a valid integer", "is not a whole number"
-            )
-        ]
+        text = error.format_message().replace("\n\t", " ").replace("is not a valid float", "is not a number")
+        return error.exit_code, [text.replace("is not a valid integer", "is not a whole number")]
     if isinstance(error, click.Abort):
         return _INTERRUPTED, ["Interrupted."]
     for cause in error_chain(error):
@@ -145,7 +139,7 @@ def _message(error: Exception) -> tuple[int, list[str]]:
         if isinstance(cause, OSError) and (cause is error or full):
             named = f"{cause.filename!s}: " if cause.filename is not None else ""
             where = f" ({full})" if full and not named else ""
-            return _BAD, [f"system error: {named}{cause.strerror or cause}{where}"]
+            return BumpymapError.exit_code, [f"system error: {named}{cause.strerror or cause}{where}"]
     return _FAULT, [f"{type(error).__name__}: {error}"]
 
 
@@ -171,11 +165,9 @@ class _LazyGroup(click.Group):
         if cmd_name not in _COMMANDS:
             return None
         if (module := _TOGETHER.get(cmd_name)) is not None:
-            command = getattr(import_module(f"bumpymap.cli.{module}"), f"{cmd_name}_command")
+            command: click.Command = getattr(import_module(f"bumpymap.cli.{module}"), f"{cmd_name}_command")
         else:
             command = import_module(f"bumpymap.cli.{cmd_name}_command").command
-        if not isinstance(command, click.Command):
-            raise TypeError(f"the command {cmd_name} is not one of click")
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

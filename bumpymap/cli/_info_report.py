@@ -379,9 +379,8 @@ class Report:
         outcome, ground = self._outcome(file.summary), self.config.ground
         told_apart = ground == "csf" or (outcome is not None and outcome.measured == "ground points")
         most = math.inf if file.info is None else file.info.most_seen
-        return SeenSizes.forecast(
-            min(file.density or math.nan, most), self.config.grid.pixel_size, in_relief=not told_apart
-        )
+        density = min(file.density or math.nan, most)
+        return SeenSizes.forecast(density, self.config.grid.pixel_size, in_relief=not told_apart)
 
     def _density(self, density: float, summary: PointSummary | None) -> str:
         short = f"{density:.1f}" if density >= 0.1 else f"{density:.1g}"

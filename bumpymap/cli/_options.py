@@ -109,13 +109,12 @@ class GroupedCommand(click.Command):
         """Write the options under the headings of their groups."""
         rows: dict[str, list[tuple[str, str]]] = {group: [] for group in GROUPS}
         shown = [each for each in self.params if isinstance(each, GroupedOption) and each not in COMMON_OPTIONS]
-        records = [(each.group, each.get_help_record(ctx)) for each in shown]
-        width = max((len(record[0]) for _, record in records if record), default=0)
+        records = [(each.group, record) for each in shown if (record := each.get_help_record(ctx))]
+        width = max((len(spelled) for _, (spelled, _) in records), default=0)
         if width:
             formatter.write_paragraph()
-        for group, record in records:
-            if record:
-                rows[group].append((record[0].ljust(width), record[1]))
+        for group, (spelled, text) in records:
+            rows[group].append((spelled.ljust(width), text))
         for group, options in rows.items():
             if options:
                 formatter.write_heading(group)
@@ -187,12 +186,12 @@ class Run:
                 raise UsageError(f"no {name} given: add {example}, or set {name} in a file for --config")
         return settings
 
-    def changed(self, *owners: type) -> dict[str, Any]:
+    def changed(self) -> dict[str, Any]:
         """Return the settings that are given, or differ from their defaults: a settings file may state those too.
 
-        Of a setting that several classes have, the default is that of the first of ``owners``, those of the command.
+        Of a setting that several classes have, the default is that of the first of ``owners``.
         """
-        own = reversed(owners or self.owners)
+        own = reversed(self.owners)
         defaults = {name: each.default for owner in own for name, each in declared_fields(owner).items()}
         return {name: value for name, value in self.from_file.items() if value != defaults[name]} | self.given
 
@@ -269,20 +268,19 @@ def settings_options(
     *names: str,
     without: Sequence[str] = (),
     required: Sequence[str] = (),
-    moved: Sequence[str] = (),
     **texts: str,
 ) -> list[click.Parameter]:
     """Return the options of a settings class: those named, or all that it declares.
 
-    ``owner``: dataclass whose fields hold a `Setting`. Each option's value comes under the field's name. ``*names``,
-    ``without`` and ``required``: fields to take; fields to leave out; those whose option must be given; ``moved``:
-    fields that this command takes by ``--set`` and ``--config`` alone, besides those that are declared rare; ``texts``:
-    help texts of this command, without the full stop, instead of those of the declaration.
+    ``owner``: dataclass whose fields hold a `Setting`. Each option's value comes under the field's name. ``*names``:
+    fields to take; ``without``: fields to leave out, which are set by ``--set`` and ``--config`` alone, as those that
+    are declared rare; ``required``: those whose option must be given; ``texts``: help texts of this command, without
+    the full stop, instead of those of the declaration.
     """
     return [
         _option(each, setting, texts.get(each.name, setting.help), each.name in required)
         for each, setting in settings_with_options(owner)
-        if not setting.rare and each.name not in (*without, *moved) and (not names or each.name in names)
+        if not setting.rare and each.name not in without and (not names or each.name in names)
     ]
 
 

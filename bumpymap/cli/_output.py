@@ -31,6 +31,7 @@ from bumpymap.core import Progress as BaseProgress, SilentProgress, escape_contr
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress, TaskID
 
 _NAMES: dict[str, str] = {}
 """Setting -> how the command that runs takes it, where that is not ``--setting``: ``--from``, ``--set pixels``."""
@@ -162,13 +163,6 @@ def is_plain(*, error: bool = False) -> bool:
     )
 
 
-def error_console() -> "Console":
-    """Return a console on standard error, for progress bars."""
-    from rich.console import Console
-
-    return Console(stderr=True, highlight=False, markup=False, emoji=False)
-
-
 def _write(text: str) -> None:
     stream = sys.stdout
     if stream is None:
@@ -189,12 +183,10 @@ def _encodable(text: str, stream: TextIO) -> str:
 
 def _silence(stream: TextIO) -> None:
     """Discard the buffer of a broken stream, which the interpreter would otherwise report at exit."""
-    try:
+    with suppress(OSError, ValueError):  # a stream of a caller, without a file
         nothing = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nothing, stream.fileno())
         os.close(nothing)
-    except (OSError, ValueError):  # a stream of a caller, without a file
-        pass
 
 
 def cell(value: float, form: str, unknown: str = "") -> str:
@@ -270,11 +262,6 @@ def interrupt_note(note: str) -> Iterator[None]:
         raise
 
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.progress import Progress, TaskID
-
-Clock = Callable[[], float]
 _LINE_SECONDS, _EVENT_SECONDS = 30.0, 10.0
 """Time between two lines of progress without a terminal, and between two JSON events, s."""
 
@@ -319,7 +306,7 @@ class _Bars:
 class TickedProgress:
     """Counts the steps of a stage; each `tick` prints a line with the time since the run began, or an event."""
 
-    def __init__(self, clock: Clock = time.monotonic, *, as_json: bool = False) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic, *, as_json: bool = False) -> None:
         self._clock, self._begun, self._as_json = clock, clock(), as_json
         self._lock = Lock()
         self._stage, self._done, self._total = "", 0, None  # type: tuple[str, int, int | None]
@@ -372,7 +359,9 @@ def show_progress(*, quiet: bool = False, as_json: bool = False) -> Iterator[Com
         with _calling_every(ticked.tick, every):
             yield ticked
     else:
-        with moving_bars(error_console()) as bars:
+        from rich.console import Console
+
+        with moving_bars(Console(stderr=True, highlight=False, markup=False, emoji=False)) as bars:
             yield bars
 
 

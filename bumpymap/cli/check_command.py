@@ -18,8 +18,7 @@ from bumpymap.core import (
     UsageError,
     atomic,
     locked,
-    parse_json,
-    read_regular,
+    read_record,
 )
 
 if TYPE_CHECKING:
@@ -142,17 +141,10 @@ def _refuse_replacing(out: Path, overwrite: bool) -> None:
         raise OutputError(f"{out} is a folder; `refit` takes the file to write, such as `refit='my_robot.json'`")
     if (out.exists() or out.is_symlink()) and not overwrite:
         raise OutputError(f"{out} exists; give `overwrite=True` to replace it, or another file with `refit`")
-    if out.is_file() and not out.is_symlink() and not _is_calibration(out):
+    # Nothing is replaced but a calibration, of any version.
+    there = out.is_file() and not out.is_symlink()
+    if there and (read_record(out) or {}).get("format") != "bumpymap-calibration":
         raise OutputError(f"{out} is no calibration, and was not touched; choose another file with `refit`")
-
-
-def _is_calibration(path: Path) -> bool:
-    """Return whether a file is one, of any version: no other file is replaced by one."""
-    try:
-        found = parse_json(read_regular(path).decode())
-    except (OSError, ValueError):
-        return False
-    return isinstance(found, dict) and found.get("format") == "bumpymap-calibration"
 
 
 def refit_lines(update: "DriveUpdate", out: Path) -> Iterator[str]:

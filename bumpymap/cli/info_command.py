@@ -9,15 +9,12 @@ import click
 
 from bumpymap.cli._options import PATH, Run, grouped_option, job, settings_options
 from bumpymap.cli._output import CommandProgress, print_json, print_lines, show_progress
-from bumpymap.core import OF_CRS, MapConfig, with_pixels
+from bumpymap.core import OF_CRS, BadInputError, MapConfig, with_pixels
 
 if TYPE_CHECKING:
     from bumpymap.cli._info_report import FileReport
     from bumpymap.readers import PointSummaryBuilder, ReadOptions
     from bumpytiles import Grid
-
-_BAD_INPUT = 3
-"""Exit code if a file cannot be read."""
 
 
 @job("info", settings_options(MapConfig, "tile_size", "ground", "crs", "dtm"), owners=(MapConfig,), clashes=OF_CRS)
@@ -55,7 +52,7 @@ def command(run: Run, quick: bool) -> None:
     else:
         print_lines(report.lines())
     if any(file.error for file in files):
-        run.ctx.exit(_BAD_INPUT)
+        run.ctx.exit(BadInputError.exit_code)
 
 
 def _inspect(
@@ -63,7 +60,7 @@ def _inspect(
 ) -> "FileReport":
     """Open and read a file, add it to ``whole`` if given; an error becomes part of the report."""
     from bumpymap.cli._info_report import FileReport
-    from bumpymap.core import BadInputError, FeatureSettings
+    from bumpymap.core import FeatureSettings
     from bumpymap.readers import PointSummaryBuilder, open_survey, reopen_survey
     from bumpymap.survey import compare_lines
 

@@ -4,7 +4,7 @@ import os
 import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from importlib.util import find_spec
 from itertools import chain
 from math import degrees
@@ -73,9 +73,8 @@ def calibrate_command(run: Run, vehicle: str | None, out: Path, jobs: int | None
         announce = print_line if not (run.quiet or run.as_json) else (lambda _text: None)
         like = _of_other_tiles(vehicle, settings)
         calibration = _calibrate(settings, out, workers, overwrite, again, progress, announce, like)
-    errors = calibration.settings["relative_standard_errors"]
     record = {"out": str(out), "id": calibration.id, "class_limits": calibration.class_limits}
-    record["relative_standard_errors"] = errors
+    record["relative_standard_errors"] = calibration.settings["relative_standard_errors"]
     run.show(record, _calibration_lines(calibration, out, quick))
 
 
@@ -297,8 +296,7 @@ def evaluate_scans_command(run: Run, frames: tuple[Path, ...], labels: str | Non
     from bumpymap.readers import find_frames, read_scan
     from bumpymap.scan import ScanModel, load_stripes
 
-    names = {field.name for field in fields(ScanEvaluateSettings)}
-    settings = ScanEvaluateSettings(**{name: value for name, value in run.changed().items() if name in names})
+    settings = ScanEvaluateSettings(**run.changed())
     network = None
     if settings.method != "filter":
         network = ScanModel.load(settings.model) if settings.model else ScanModel.shipped()

@@ -4,6 +4,7 @@ import shlex
 import shutil
 import sys
 import threading
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict
@@ -31,8 +32,8 @@ from bumpymap.core import (
 from bumpymap.survey import BatchConfig
 
 if TYPE_CHECKING:
-    from bumpymap.layers import MapSummary
-    from bumpymap.survey import MapResult
+    from bumpymap.layers import MapSummary, SurveyRow, SurveyStatus
+    from bumpymap.survey import BatchReport, BatchResult, MapResult
 
 _SAMPLE = Path("sample_data") / "quarry.laz"
 """In an installed package it lies inside, in the sources beside it."""
@@ -252,10 +253,6 @@ def _record(result: "MapResult", config: MapConfig) -> dict[str, object]:
     }
 
 
-if TYPE_CHECKING:
-    from bumpymap.layers import SurveyRow, SurveyStatus
-    from bumpymap.survey import BatchReport, BatchResult
-
 _CONTINUE = "Give the same command again to continue."
 _BAD: tuple["SurveyStatus", ...] = ("failed", "incomplete", "not reached")
 _MOST_LISTED = 20
@@ -267,8 +264,8 @@ _MOST_LISTED = 20
     settings_options(BatchConfig, required=("out",)),
     settings_options(
         MapConfig,
-        without=("out",),
-        moved=(
+        without=(
+            "out",
             "xy_unit",
             "z_unit",
             "local",
@@ -303,9 +300,8 @@ def batch_command(run: Run, source: Path) -> None:
     own = {name: given.pop(name) for name in ("out", "survey_per", "jobs") if name in given}
     config = BatchConfig(source, given=given, defaults=run.stored, **own)
     with interrupt_note(_CONTINUE), run.progress() as progress:
-        result = run_batch(
-            config, _batch_reporter(progress), lambda total: progress.start("surveys", total), as_options
-        )
+        report = _batch_reporter(progress)
+        result = run_batch(config, report, lambda total: progress.start("surveys", total), as_options)
     run.show(_batch_record(result, config.out), _batch_lines(result, config.out))
     if result.exit_code:
         run.ctx.exit(result.exit_code)
@@ -317,24 +313,18 @@ def _batch_reporter(progress: CommandProgress) -> "BatchReport":
     def report(row: "SurveyRow") -> None:
         progress.advance(1)
         if row.status not in _BAD:
-            points, seconds = row.points or 0, row.seconds or 0.0
-            text = (
-                f"{row.name} {row.status}: {points:,} points, {row.share_unknown or 0.0:.1%} unknown, {seconds:.1f} s"
-            )
+            points, seconds, unknown = row.points or 0, row.seconds or 0.0, row.share_unknown or 0.0
+            text = f"{row.name} {row.status}: {points:,} points, {unknown:.1%} unknown, {seconds:.1f} s"
             progress.note(text, "survey", name=row.name, status=row.status, points=points, seconds=seconds)
 
     return report
-
-
-def _batch_counts(result: "BatchResult") -> dict["SurveyStatus", int]:
-    return {status: len(result.with_status(status)) for status in dict.fromkeys(row.status for row in result.rows)}
 
 
 def _batch_record(result: "BatchResult", out: Path) -> dict[str, Any]:
     return {
         "out": str(out),
         "surveys": len(result.rows),
-        "counts": _batch_counts(result),
+        "counts": Counter(row.status for row in result.rows),
         "failed": {row.name: row.message for row in result.with_status(*_BAD)},
         "warnings": {row.name: list(row.warnings) for row in result.rows if row.warnings},
     }
@@ -343,9 +333,8 @@ def _batch_record(result: "BatchResult", out: Path) -> dict[str, Any]:
 def _batch_lines(result: "BatchResult", out: Path) -> Iterator[str]:
     """Say how many surveys are done, and which are not."""
     warned = sum(bool(row.warnings) for row in result.rows)
-    listed = [f"{count} {status}" for status, count in _batch_counts(result).items()] + [
-        f"{warned} with warnings"
-    ] * bool(warned)
+    counts = Counter(row.status for row in result.rows)
+    listed = [f"{count} {status}" for status, count in counts.items()] + [f"{warned} with warnings"] * bool(warned)
     yield (f"{count_text(len(result.rows), 'survey')}: {', '.join(listed)}")
     lines = [f"  {row.name} {row.status}: {row.message}" for row in result.with_status(*_BAD)]
     lines += [f"  {row.name}, warning: {warning}" for row in result.rows for warning in row.warnings]

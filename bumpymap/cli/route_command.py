@@ -8,7 +8,6 @@ import click
 
 from bumpymap.cli._options import PATH, Run, job, settings_options
 from bumpymap.cli._output import Table, cell
-from bumpymap.core import UsageError
 from bumpymap.route import CostSettings, RouteConfig
 
 if TYPE_CHECKING:
@@ -102,14 +101,12 @@ def command(run: Run) -> None:
     bumpymap route layers --from 11.5001,48.2003 --to 11.5034,48.2011 --out way
     bumpymap route layers --from 434100,5411200 --to 434300,5411200 --by time --return
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    settings = run.settings
-    if not settings.get("layers"):
-        raise UsageError("no layers given: name the folder that `bumpymap map` wrote")
     from bumpymap.route import plan_routes
 
+    settings = run.settings
     own = {name: settings.pop(name) for name in CostSettings.__dataclass_fields__ if name in settings}
     cost = replace(settings.pop("cost", CostSettings()), **own)
-    config = RouteConfig(cost=cost, **settings)
+    config = RouteConfig(settings.pop("layers", None), cost=cost, **settings)
     with run.progress() as progress:
         result = plan_routes(config, progress)
     run.show(_record(result, config), _lines(result, config))

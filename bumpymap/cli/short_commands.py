@@ -27,7 +27,9 @@ from bumpymap.core import (
 
 if TYPE_CHECKING:
     from bumpymap.change import ChangeResult
+    from bumpymap.layers import MapReader
     from bumpymap.rating import Vehicle
+    from bumpymap.views import Export
 
 _WITH_SETTINGS = (
     *("map", "batch", "info", "scan", "route", "check", "diff", "export", "calibrate", "report"),
@@ -58,10 +60,9 @@ def _diff_lines(result: "ChangeResult", config: DiffConfig) -> Iterator[str | Ta
     changes = [(text, f"{count:,}", share) for (text, count), share in zip(tiles.items(), shares, strict=True)]
     yield Table(changes, ("change", "tiles", "share"))
     yield "Classes before (rows) and after (columns), tiles:"
-    rows = (
-        (name, *(f"{tiles:,}" for tiles in row)) for name, row in zip(_class_names(), result.transitions, strict=True)
-    )
-    yield Table(rows, ("before", *_class_names()))
+    names = _class_names()
+    rows = ((name, *(f"{tiles:,}" for tiles in row)) for name, row in zip(names, result.transitions, strict=True))
+    yield Table(rows, ("before", *names))
     if counts["passable_lost"] or counts["passable_won"]:
         yield (
             f"of the changed tiles, {count_text(counts['passable_lost'], 'is', 'are')} no longer passable and "
@@ -276,10 +277,6 @@ def _calibration(vehicle: str) -> str:
     return f"{found.id}, {tiles}; bumpymap map --vehicle {shlex.quote(vehicle)}"
 
 
-if TYPE_CHECKING:
-    from bumpymap.layers import MapReader
-    from bumpymap.views import Export
-
 _ONLY_FOR: dict[str, tuple[ExportFormat, ...]] = {
     "around": ("nav2", "gridmap", "cost"),
     "radius": ("nav2", "gridmap", "cost"),
@@ -333,9 +330,8 @@ def export_command(run: Run, layers: Path, out: Path, overwrite: bool) -> None:
     route_map = open_map(layers)
     done = export_map(route_map, out, _placed(settings, points, route_map), overwrite=overwrite)
     files = [path.name for path in done.files]
-    run.show(
-        {"out": str(out), "files": files, **done.record}, [*_export_lines(done), f"Files in {out}: {', '.join(files)}"]
-    )
+    lines = [*_export_lines(done), f"Files in {out}: {', '.join(files)}"]
+    run.show({"out": str(out), "files": files, **done.record}, lines)
 
 
 def _placed(settings: ExportSettings, points: Mapping[str, str], route_map: "MapReader") -> ExportSettings:

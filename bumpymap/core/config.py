@@ -110,9 +110,6 @@ class PageSettings:
     logo: Path | None = None
     """A PNG or JPEG of at most 5 MB and 50 million pixels, which the page holds; a link is not followed."""
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
 
 @dataclass(frozen=True, slots=True)
 class ReportSettings:

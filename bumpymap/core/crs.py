@@ -217,9 +217,8 @@ def stated_crs(text: str) -> CRS:
     is_wkt = re.match(r"\s*\w+\s*[\[(]", text)
     parts = _STRINGS.findall(text) if is_wkt else [text]
     values = "".join(map("".join, _FILE_VALUE.findall(text)))
-    if any(_FILE_PARAMETER.search(part.lower()) and _ELSEWHERE.search(part) for part in parts) or _ELSEWHERE.search(
-        values
-    ):
+    by_parameter = any(_FILE_PARAMETER.search(part.lower()) and _ELSEWHERE.search(part) for part in parts)
+    if by_parameter or _ELSEWHERE.search(values):
         raise CRSError("it names a file by its path. Put grids in a folder of PROJ_DATA, and name them without path")
     if is_wkt and "\u201c" in text:  # quotes too, for PROJ
         raise CRSError("it has printed quotation marks")
@@ -451,10 +450,8 @@ def place_notes(place: Place, crs: CRS) -> list[str]:
     outside = _degrees_outside(crs, longitude, latitude)
     if outside > _NEAR_DEGREES:
         where = f"its middle, {x:.10g}, {y:.10g}, lies {outside:.1f} degrees outside the area of use of"
-        remedy = (
-            f"{_other_reading(crs, proj, x, y)}If the CRS is wrong, give the right one with `force_crs='EPSG:CODE'`"
-        )
-        return [f"{where} {describe_crs(crs)}. {remedy}"]
+        remedy = "If the CRS is wrong, give the right one with `force_crs='EPSG:CODE'`"
+        return [f"{where} {describe_crs(crs)}. {_other_reading(crs, proj, x, y)}{remedy}"]
     if abs(scale - 1) <= _SCALE_TOLERANCE:
         return []
     here = f"one metre of {crs.name} is {1 / scale:.3f} m on the ground here: tiles are that much smaller and slopes"
@@ -548,7 +545,6 @@ def _common_crs(ordered: Sequence[_HasGeoreference], held: Sequence[CRS | None])
 
 
 def _listed(ordered: Sequence[_HasGeoreference], held: Sequence[CRS | None]) -> list[str]:
-    lines = [
-        f"  {info.path}: {describe_crs(crs) if crs else 'no CRS'}" for info, crs in zip(ordered, held, strict=True)
-    ]
+    files = zip(ordered, held, strict=True)
+    lines = [f"  {info.path}: {describe_crs(crs) if crs else 'no CRS'}" for info, crs in files]
     return lines if len(lines) <= 20 else [*lines[:20], f"  ... and {len(lines) - 20} more"]

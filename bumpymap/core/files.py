@@ -35,16 +35,14 @@ def parse_json(text: str) -> Any:
 
     Raises ValueError: not JSON, or nested more than 50 deep.
     """
-    try:
+    with suppress(RecursionError):
         value = json.loads(text)
-    except RecursionError:
-        raise ValueError(f"it is nested more than {_DEEPEST} deep") from None
-    level = [value]
-    for _ in range(_DEEPEST):
-        held = (item.values() if isinstance(item, dict) else item for item in level if isinstance(item, dict | list))
-        level = [child for children in held for child in children if isinstance(child, dict | list)]
-        if not level:
-            return value
+        level = [value]
+        for _ in range(_DEEPEST):
+            held = (own.values() if isinstance(own, dict) else own for own in level if isinstance(own, dict | list))
+            level = [child for children in held for child in children if isinstance(child, dict | list)]
+            if not level:
+                return value
     raise ValueError(f"it is nested more than {_DEEPEST} deep")
 
 

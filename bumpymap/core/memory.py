@@ -11,7 +11,6 @@ from bumpymap.core.errors import UsageError
 
 LEAST_MEMORY = 128 << 20
 """Smallest limit, bytes: one chunk of a file alone needs this much."""
-_AUTO = "auto"
 _FREE_SHARE = 0.25
 """Share of the free memory that ``auto`` takes."""
 _LEAST_AUTO, _MOST_AUTO = 512 << 20, 8 << 30
@@ -58,7 +57,7 @@ def memory_bytes(text: str) -> int:
 
 def is_auto(text: str) -> bool:
     """Return whether a limit is ``auto``."""
-    return text.strip().lower() == _AUTO
+    return text.strip().lower() == "auto"
 
 
 def auto_memory(processes: int = 1) -> int:

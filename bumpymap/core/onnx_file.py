@@ -34,8 +34,7 @@ def session(content: bytes) -> Any:
     runtime.disable_telemetry_events()  # the switch of builds for Windows
     runtime.set_default_logger_severity(4)  # errors are raised
     options = runtime.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.inter_op_num_threads = 1
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
     options.add_session_config_entry("session.load_model_format", "ONNX")  # what was checked, whatever its first bytes
     # Without the fallback, which prints what a damaged file says.

@@ -267,11 +267,9 @@ def _acquire(folder: Path, name: str) -> tuple[int, int]:
 def _open_lock(place: int, name: str, folder: Path) -> tuple[int | None, bool]:
     """Open or create the lock file; return its descriptor (None if it was removed meanwhile) and whether it is new."""
     flags = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK
-    with writing_to(folder):
+    with writing_to(folder), suppress(FileExistsError):
         try:
             return os.open(name, flags | os.O_CREAT | os.O_EXCL, 0o600, dir_fd=place), True
-        except FileExistsError:
-            pass
         except FileNotFoundError:  # the folder is gone too
             return None, False
     try:

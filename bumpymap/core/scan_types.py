@@ -68,8 +68,7 @@ class PoseTrack:
         nearest = np.minimum(np.abs(times - self.times[left]), np.abs(times - self.times[right]))
         inside = (times >= self.times[0]) & (times <= self.times[-1])
         is_short = self.times[right] - self.times[left] <= LONGEST_GAP_S
-        covered: NDArray[np.bool_] = (nearest <= NEAREST_S) | (inside & is_short)
-        return covered
+        return np.asarray((nearest <= NEAREST_S) | (inside & is_short))
 
     def around(self, time: float, seconds: float) -> "PoseTrack":
         """Return the poses within some seconds of a time, and one more on each side; times are relative to it."""

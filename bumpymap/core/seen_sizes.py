@@ -104,9 +104,8 @@ def _density_of_sparse_parts(held: NDArray[np.bool_], mean: Floats) -> Floats:
     side = held.shape[1]
     lines = [np.count_nonzero(~held, axis=axis) for axis in (2, 1)]
     ends = np.array([0, side // 3, side - side // 3])
-    empty = np.concatenate(
-        [lines[0].sum(axis=1, keepdims=True), *(np.add.reduceat(line, ends, axis=1) for line in lines)], axis=1
-    )
+    parts = [lines[0].sum(axis=1, keepdims=True), *(np.add.reduceat(line, ends, axis=1) for line in lines)]
+    empty = np.concatenate(parts, axis=1)
     thirds = np.diff([*ends, side]) * side
     pixels = np.concatenate([[side * side], thirds, thirds]).astype(np.float64)
     chance = np.exp(-mean)[:, None]
@@ -184,9 +183,8 @@ class SeenSizes:
     def record(self) -> dict[str, Any]:
         """Return the numbers and the sentence for JSON; None where nothing is known."""
         numbers = zip(SEEN_NUMBERS, (self.density, self.object_m, self.step_m), strict=True)
-        return {name: round(value, 3) if math.isfinite(value) else None for name, value in numbers} | {
-            "seen": self.sentence
-        }
+        found = {name: round(value, 3) if math.isfinite(value) else None for name, value in numbers}
+        return found | {"seen": self.sentence}
 
 
 def size_text(size_m: float) -> str:

@@ -335,9 +335,8 @@ class CostRule:
         class_id, c_r, p_fail, slope = (columns[name] for name in ("class_id", "c_r", "p_fail", "slope"))
         fails = np.where(np.isnan(p_fail), class_id == len(CLASS_NAMES) - 1, p_fail >= FAIL_SHARE)
         unknown = (class_id == NO_CLASS) | ~np.isfinite(c_r)
-        return np.select(
-            [unknown, ~(slope <= self.slope_limit_deg), fails], [Barred.UNKNOWN, Barred.SLOPE, Barred.FAILS], Barred.NO
-        ).astype(np.uint8)
+        barred = [unknown, ~(slope <= self.slope_limit_deg), fails]
+        return np.select(barred, [Barred.UNKNOWN, Barred.SLOPE, Barred.FAILS], Barred.NO).astype(np.uint8)
 
     def cost(self, c_r: NDArray[np.floating], hazard: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return the factor on distance; an unknown hazard (NaN) counts as 0."""
@@ -444,8 +443,7 @@ class CostMap:
 
     def band(self, name: str) -> NDArray[np.floating]:
         """Return the values of one of ``BANDS``, (n,)."""
-        values: NDArray[np.floating] = getattr(self if hasattr(self, name) else self.patches, name)
-        return values
+        return np.asarray(getattr(self if hasattr(self, name) else self.patches, name))
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns of `rated_columns`, one row for each tile."""

@@ -32,7 +32,6 @@ from .poses import (
 )
 from .protocol import (
     Chunk as Chunk,
-    ChunkPoints as ChunkPoints,
     ReadOptions as ReadOptions,
     SurveyInfo as SurveyInfo,
     SurveyReader as SurveyReader,

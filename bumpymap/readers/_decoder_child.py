@@ -23,8 +23,7 @@ def read_chunk_table(record: bytes, data: Any) -> list[tuple[int, int]]:
     """Return number of points and bytes of each LAZ chunk; ``data`` begins at the start of the chunk table."""
     import lazrs
 
-    table: list[tuple[int, int]] = lazrs.read_chunk_table_only(io.BytesIO(data), lazrs.LazVlr(record))
-    return table
+    return list(lazrs.read_chunk_table_only(io.BytesIO(data), lazrs.LazVlr(record)))
 
 
 def decode_chunks(record: bytes, table: Sequence[tuple[int, int]], colour: bool, data: Any, out: Any) -> None:

@@ -6,7 +6,6 @@ starts a new child.
 """
 
 import os
-import threading
 from atexit import register as at_exit
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -96,18 +95,13 @@ def _start() -> Child:
     return Child("to decode LAZ", "_decoder_child", folders, _MALLOC)
 
 
-_lock = threading.Lock()
-current: Decoder | None = None
+current = Decoder()
 """The decoder of this process, see `decoder`."""
 
 
 def decoder() -> Decoder:
     """Return the decoder of this process."""
-    global current  # noqa: PLW0603 (one for all readers: they share its children)
-    with _lock:
-        if current is None:
-            current = Decoder()
-        return current
+    return current
 
 
 def start_decoder(surveys: Iterable[Path]) -> None:
@@ -118,13 +112,12 @@ def start_decoder(surveys: Iterable[Path]) -> None:
 
 def close_decoder() -> None:
     """End the decoder's child process and free its memory; the next request starts it again."""
-    if current is not None:
-        current.close()
+    current.close()
 
 
 def _reset_after_fork() -> None:
-    global _lock, current
-    _lock, current = threading.Lock(), None
+    global current  # noqa: PLW0603 (one for all readers: they share its children)
+    current = Decoder()
 
 
 at_exit(close_decoder)

@@ -112,18 +112,14 @@ class DriveTable(NamedTuple):
         return io.BytesIO(_BLANKS.sub(b"\t", _DATE_AND_TIME.sub(rb"\1T\2", _INDENT.sub(b"", rows))))
 
 
-def refuse_large(path: Path, most: int = _MOST_BYTES) -> int:
-    """Return the size of a file.
-
-    Raises BadInputError: it has more bytes than are read at once.
-    """
+def refuse_large(path: Path, most: int = _MOST_BYTES) -> None:
+    """Raise BadInputError if a file has more bytes than are read at once."""
     size = size_of(path)
     if size > most:
         raise BadInputError(
             f"{path} has {size / 1e9:,.1f} GB; at most {most / 1e9:,.1f} GB are read at once. Cut it into several "
             "drives"
         )
-    return size
 
 
 def open_table(path: Path) -> DriveTable:
@@ -139,9 +135,8 @@ def open_table(path: Path) -> DriveTable:
     if b"\0" in data:
         raise BadInputError(f"{path} is not a text file, and of no format that holds a drive. {_FORMATS}")
     lines = data.decode("utf-8-sig", "replace").splitlines()
-    place = next(
-        (number for number, line in enumerate(lines) if line.strip() and line.strip()[0] not in _COMMENT_SIGNS), 0
-    )
+    written = (number for number, line in enumerate(lines) if line.strip() and line.strip()[0] not in _COMMENT_SIGNS)
+    place = next(written, 0)
     # The header of RTKLIB is the last of its comments.
     header = place - 1 if place and lines[0].startswith("%") else place
     separator = next((each for each in _SEPARATORS if each in lines[header]), " ")

@@ -292,9 +292,8 @@ def _read(paths: Sequence[Path], wanted: Mapping[str, str]) -> DriveLog:
     try:
         return assemble(name, paths, _sources(paths, wanted))
     except BadInputError as error:
-        if any(
-            re.search(rf"(?<!\w){re.escape(each)}(?!\w)", str(error)) for each in {name, *(path.name for path in paths)}
-        ):
+        names = {name, *(path.name for path in paths)}
+        if any(re.search(rf"(?<!\w){re.escape(each)}(?!\w)", str(error)) for each in names):
             raise
         raise BadInputError(f"{', '.join(map(str, paths))}: {error}") from error
 

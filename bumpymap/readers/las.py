@@ -272,9 +272,7 @@ class LasSurvey(SurveyReader):
         # is 0; integers of x and y that lie in the box; the kind of each class.
         self._rules = np.array(fields), np.array(box).reshape(-1), options.kinds
         self._lines = options.lines
-        self._colours: tuple[int, int] | None = None
-        if options.colour:
-            self._colours = self._find_colours()
+        self._colours = self._find_colours() if options.colour else None
         kind = f"{'LAZ' if raw.compressed else 'LAS'} {raw.version}, point format {raw.point_format}"
         kind = f"COPC ({kind})" if raw.is_copc else kind
         notes += _degrees_note(place, raw)

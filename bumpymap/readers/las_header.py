@@ -259,10 +259,8 @@ def _statement_from_keys(keys: dict[int, int], citation: str) -> CrsStatement | 
     unit_code = keys.get(_LINEAR, 0)
     unit = linear_unit(unit_code)
     if unit is None and unit_code not in {0, _USER_DEFINED}:
-        trouble = (
-            f"its GeoTIFF keys name {unit_code} as the unit of easting and northing, which is not a unit of length"
-        )
-        return CrsStatement(trouble=trouble)
+        named = f"its GeoTIFF keys name {unit_code} as the unit of easting and northing"
+        return CrsStatement(trouble=f"{named}, which is not a unit of length")
     vertical = _coded(keys, _VERTICAL)
     if vertical is not None and not vertical.is_vertical:
         vertical = None

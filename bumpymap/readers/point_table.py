@@ -120,6 +120,8 @@ class TableInfo:
     row_bytes: int
     """Size of a row in memory, bytes."""
     is_text: bool
+    sequential: bool
+    """True if rows can only be read sequentially from the start of the file: of text, and if they are packed."""
     notes: tuple[str, ...] = ()
     """Notes for the user."""
 
@@ -168,11 +170,6 @@ class PointTable:
         self._text_row = np.dtype([(name, text_type or info.row[name]) for name in names])
         self._lines: Any = None
         self._next = 0
-
-    @property
-    def sequential(self) -> bool:
-        """True if rows can only be read sequentially from the start of the file."""
-        return self.info.is_text
 
     def rows(self, first: int, count: int) -> Any:
         """Return a structured array of ``count`` rows from row ``first``; fewer at the end of the file."""
@@ -248,14 +245,12 @@ class TableSurvey(SurveyReader):
             types = " and ".join(dict.fromkeys(head.types[name].name for name in self._columns[:2]))
             refuse_coarse(table.path, step, f"they are stored as {types}", options)
             if max(step, step_z) > _FINE_M:
-                lost = (
-                    f"as they are stored, its coordinates lie on steps of {max(step, step_z):g} m: fine relief is lost"
-                )
-                notes += (f"{lost}. Export it with double coordinates, or as LAS",)
+                lost = f"its coordinates lie on steps of {max(step, step_z):g} m: fine relief is lost"
+                notes += (f"as they are stored, {lost}. Export it with double coordinates, or as LAS",)
         notes += head.notes
         has_classes = self._class_column is not None
         info = SurveyInfo(table.path, head.format, head.size, head.count, place, None, has_classes, notes)
-        return replace(info, sequential=table.sequential)
+        return replace(info, sequential=head.sequential)
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Split between any two rows."""
@@ -294,7 +289,6 @@ class TableSurvey(SurveyReader):
 
 _PLY_LINE, _PLY_HEADER = 4096, 4096
 """Bytes of a line, and lines of a header, at most. Chosen: several times those of any program's files."""
-_AXES = "xyz"
 _BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -398,9 +392,9 @@ class PlyTable(PointTable):
             else:
                 refuse_count(path, element.count, held, f"'{element.name}'")
             room -= element.count * least
-        types = " ".join(dict.fromkeys(row[name].name for name in row.names or () if name.lower() in _AXES))
+        types = " ".join(dict.fromkeys(row[name].name for name in row.names or () if name.lower() in "xyz"))
         kind = f"PLY, {encoding.replace('_', ' ')}, {types}"
-        info = TableInfo(kind, size, vertex.count, row, 24 if is_text else row.itemsize, is_text)
+        info = TableInfo(kind, size, vertex.count, row, 24 if is_text else row.itemsize, is_text, is_text)
         if not is_text:
             data_at += sum(element.count * element.dtype(order).itemsize for element in before)
         skipped = sum(element.count for element in before)
@@ -466,13 +460,8 @@ class PcdTable(PointTable):
         pose_note = ("its header gives the pose of the sensor (VIEWPOINT), which is not applied",)
         notes = pose_note if head.viewpoint != _NO_POSE else ()
         kind = f"PCD {head.version}, {head.data.value}"
-        info = TableInfo(kind, size, head.points, row, row.itemsize, is_text, notes)
+        info = TableInfo(kind, size, head.points, row, row.itemsize, is_text, head.data.value != "binary", notes)
         super().__init__(path, info, data_at, wanted, text_type=text_type)
-
-    @property
-    def sequential(self) -> bool:
-        """See ``PointTable.sequential``."""
-        return bool(self._head.data.value != "binary")
 
     def rows(self, first: int, count: int) -> Any:
         """See ``PointTable.rows``."""
@@ -489,8 +478,7 @@ class PcdTable(PointTable):
             stream.seek(self._data_at)
             # Pass the header that was checked, not that of the file, which pypcd4 might parse differently.
             whole = io.BytesIO(self._head.compose_header().encode() + stream.read())
-            rows: NDArray[np.void] = pypcd4.PointCloud.from_fileobj(whole).pc_data
-            return rows
+            return np.asarray(pypcd4.PointCloud.from_fileobj(whole).pc_data)
 
 
 def _read_pcd_header(stream: BinaryIO, path: Location) -> Any:

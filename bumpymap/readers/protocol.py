@@ -126,11 +126,9 @@ class ChunkPoints:
     def cloud(self) -> PointCloud:
         """The points in metres."""
         points = self.points
-        return (
-            PointCloud(*points.coordinates(), points.flag, points.colour)
-            if isinstance(points, ScaledPoints)
-            else points
-        )
+        if isinstance(points, ScaledPoints):
+            return PointCloud(*points.coordinates(), points.flag, points.colour)
+        return points
 
     def grouped(self, grid: Grid) -> GroupedPoints:
         """Return the points grouped by block of tiles, in as few bytes as is exact."""

@@ -177,7 +177,7 @@ def _reading(path: Path) -> Iterator[None]:
             raise
         raise _damaged(path, str(error.__cause__)) from error.__cause__
     except Exception as error:
-        if not asks_too_much(error, [path]):
+        if not asks_too_much(error, path):
             raise
         # Without its cause, which would be reported as a lack of memory.
         raise _damaged(path, "it declares a record that is larger than the memory") from None

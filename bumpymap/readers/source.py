@@ -2,7 +2,7 @@
 
 import os
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -59,8 +59,7 @@ def read_into(location: Location, start: int, data: NDArray[np.uint8]) -> int:
 
 def size_of(location: Location) -> int:
     """Return the size of a file in bytes."""
-    size: int = version_of(location)["size"]
-    return size
+    return int(version_of(location)["size"])
 
 
 def hash_survey(location: Location) -> str:
@@ -155,11 +154,11 @@ def decoding(path: Location, what: str) -> Iterator[None]:
         ) from error
 
 
-def asks_too_much(error: BaseException, paths: Iterable[Path]) -> bool:
-    """Return whether memory ran out that files of their size, intact, would not need: a length in them is wrong."""
+def asks_too_much(error: BaseException, path: Path) -> bool:
+    """Return whether memory ran out that a file, or folder, of that size, intact, would not need: a length is wrong."""
     if missing_resource(error) != "memory":
         return False
-    files = (file for path in paths for file in (path.iterdir() if path.is_dir() else (path,)))
+    files = path.iterdir() if path.is_dir() else [path]
     return (free_memory() or 0) >= _NEEDED + _NEEDED_PER_BYTE * sum(file.stat().st_size for file in files)
 
 

@@ -25,8 +25,7 @@ def frame_name(name: str) -> str:
 
 def seconds_since(origin_ns: int, times_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return times in seconds after an origin; equal times stay equal."""
-    seconds: NDArray[np.float64] = (times_ns - origin_ns) * np.float64(1e-9)
-    return seconds
+    return np.asarray((times_ns - origin_ns) * np.float64(1e-9))
 
 
 class Trajectory:
@@ -75,9 +74,8 @@ class FrameTree:
                 self._static.pop(child, None)  # the last one counts
             samples = self._static if static else self._moving
             part = each.transform
-            samples.setdefault(child, Trajectory(f"tf of {child}")).add(
-                each.header.stamp, part.translation, part.rotation
-            )
+            trajectory = samples.setdefault(child, Trajectory(f"tf of {child}"))
+            trajectory.add(each.header.stamp, part.translation, part.rotation)
 
     def mount(self, base: str, sensor: str) -> NDArray[np.float64] | None:
         """Return the fixed transform (4, 4) from a sensor to the base; None if it is unknown or the sensor moves."""
@@ -91,8 +89,7 @@ class FrameTree:
         if any(frame in self._moving for way in ways for frame in way):
             return None
         ends = [_product([self._fixed(frame) for frame in way]) for way in ways]
-        pose: NDArray[np.float64] = np.linalg.inv(ends[1]) @ ends[0]
-        return pose
+        return np.asarray(np.linalg.inv(ends[1]) @ ends[0])
 
     def track(self, sensor: str, origin_ns: int, times: NDArray[np.float64]) -> PoseTrack | None:
         """Return the poses of a sensor in a fixed frame.
@@ -128,8 +125,7 @@ class FrameTree:
 
     def _fixed(self, frame: str) -> NDArray[np.float64]:
         """Return the fixed transform (4, 4) from a frame to its parent."""
-        transform: NDArray[np.float64] = self._static[frame].track(0).poses[-1]
-        return transform
+        return np.asarray(self._static[frame].track(0).poses[-1])
 
 
 def _product(steps: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:

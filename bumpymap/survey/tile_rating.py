@@ -186,16 +186,15 @@ class TileRating:
             objects = found[0]
             on_ground = True
         probability = None if self.models.texture is None else classify(bare, self.models.texture)
+        thin = None
         if self.ride is not None:
             rated = self.ride.rate(bare, probability)
+            # How thin a tile is, and whether it has holes, depends on its survey, and not on standing objects.
+            pairs, maps = measure_thin(points, patches, config.features, ground_only=on_ground)
+            thin = thin_columns(pairs, maps, bare.count, self.ride.operator)
         else:
             rating = rate_as_paper if config.compat == "paper" else rate
             rated = rating(bare, np.asarray(probability), self.models.calibration)
-        # How thin a tile is, and whether it has holes, depends on its survey, and not on standing objects.
-        thin = None
-        if self.ride is not None:
-            pairs, maps = measure_thin(points, patches, config.features, ground_only=on_ground)
-            thin = thin_columns(pairs, maps, bare.count, self.ride.operator)
         measured = replace(patches, relief=bare.relief, slope=bare.slope, reason=bare.reason)
         if objects is not None:
             states, size = objects.objects, points.grid.tile_size
@@ -243,10 +242,6 @@ class NeighbourWindow:
         present = np.zeros((window.rows, window.cols), np.bool_)
         present[cells] = True
         return cls(table, area, rings, columns, present)
-
-    def wider(self, names: Sequence[str], rings: int) -> "NeighbourWindow":
-        """Return some columns with more rings."""
-        return self.read(self.table, self.area, names, rings)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self.columns[name]
@@ -377,7 +372,8 @@ class NeighbourRating:
         own, grid = {name: window.inner(name) for name in (*_RATED, "slope", "coverage", *_OBJECTS)}, self.config.grid
         known &= self._seen(window)
         if self.config.by_ride:
-            wide = window.wider((*_RATED, "thin", "coverage", "slope"), THIN_RING)
+            names = (*_RATED, "thin", "coverage", "slope")
+            wide = NeighbourWindow.read(window.table, window.area, names, THIN_RING)
             measured = wide["thin"], _first(wide), wide["coverage"], wide["slope"]
             own |= asdict(rate_thin(*measured, self.calibration, THIN_RING))
         solids = settle_solids(window.mosaic("objects"), grid, self.config.features.max_hole)
@@ -419,10 +415,8 @@ class NeighbourRating:
         """Return what the survey of the inner tiles would have shown."""
         step = smallest_step(steps.limit, window.inner("density"), closing_height(self.calibration))
         found = window.inner("all_density"), window.inner("smallest_object"), step
-        known = class_id != NO_CLASS
-        return {
-            name: np.where(known, values, np.float32(np.nan)) for name, values in zip(SEEN_COLUMNS, found, strict=True)
-        }
+        columns, known = zip(SEEN_COLUMNS, found, strict=True), class_id != NO_CLASS
+        return {name: np.where(known, values, np.float32(np.nan)) for name, values in columns}
 
     def _known(self, window: NeighbourWindow) -> NDArray[np.bool_]:
         """Return which tiles have a class, or will have one."""
@@ -571,9 +565,8 @@ def sides_crossed(usable: NDArray[np.bool_], steps: TileSteps, known: NDArray[np
     """
     known = known[1:-1, 1:-1]
     rows, cols = (side - 2 for side in known.shape)
-    beyond = np.stack(
-        [known[1 + down : 1 + down + rows, 1 + right : 1 + right + cols] for down, right in _BESIDE], axis=-1
-    )
+    beside = [known[1 + down : 1 + down + rows, 1 + right : 1 + right + cols] for down, right in _BESIDE]
+    beyond = np.stack(beside, axis=-1)
     alone = ~beyond.any(axis=-1, keepdims=True)
     crossed = (beyond & (usable | np.isnan(steps.border))) | alone
     return np.packbits(crossed, axis=-1, bitorder="little")[..., 0]

@@ -39,8 +39,7 @@ class _WaitingChunk:
 
     def counts(self) -> NDArray[np.int64]:
         """Return the number of points of each of these blocks."""
-        counts: NDArray[np.int64] = np.diff(self.points.starts)[list(self.places.values())]
-        return counts
+        return np.asarray(np.diff(self.points.starts)[list(self.places.values())])
 
 
 class TooManyPointsError(Exception):

@@ -123,7 +123,5 @@ class Grid:
 
     def window_bounds(self, window: TileWindow) -> Bounds:
         """Return the bounds of a window of tiles, m."""
-        size = self.tile_size
-        return Bounds(
-            window.col * size, window.row * size, (window.col + window.cols) * size, (window.row + window.rows) * size
-        )
+        size, east, north = self.tile_size, window.col + window.cols, window.row + window.rows
+        return Bounds(window.col * size, window.row * size, east * size, north * size)

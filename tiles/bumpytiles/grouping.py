@@ -142,9 +142,8 @@ class PointPart(NamedTuple):
         if self.scaling is None:
             return self
         there = [(n, axis) for n, axis in enumerate(_AXES) if axis in self.columns]
-        return PointPart(
-            self.columns | {axis: self.scaling.coordinates(n, self.columns[axis]) for n, axis in there}, None
-        )
+        metres = {axis: self.scaling.coordinates(n, self.columns[axis]) for n, axis in there}
+        return PointPart(self.columns | metres, None)
 
 
 def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointPart]) -> TilePoints:

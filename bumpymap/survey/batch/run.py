@@ -606,6 +606,5 @@ def map_batch(
     if report is not None and not callable(report):
         raise UsageError(f"report is {short_repr(report)}; it must be a function that takes a row")
     places = Path(path_of_call("source", source)), Path(path_of_call("out", out))
-    return run_batch(
-        BatchConfig(*places, map_settings(given, "map_batch", BatchSettings.__annotations__), **own), report
-    )
+    config = BatchConfig(*places, map_settings(given, "map_batch", BatchSettings.__annotations__), **own)
+    return run_batch(config, report)

@@ -13,6 +13,7 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from ipaddress import ip_address
+from itertools import chain
 from pathlib import Path
 from socket import gethostname
 from threading import Lock
@@ -135,9 +136,7 @@ def finish_group(context: RunContext, group: BlockGroup, kinds: Sequence[str]) -
     """Rate blocks; return the packs of their tiles, for each kind, and how many blocks these are."""
     with _worker(context) as worker:
         opened.cache_clear()  # nothing is read any more
-        packs = [
-            [pack for packs in alike for pack in packs] for alike in zip(*worker.finish(group, kinds), strict=True)
-        ]
+        packs = [[*chain.from_iterable(alike)] for alike in zip(*worker.finish(group, kinds), strict=True)]
         return packs, len(group.keys)
 
 

@@ -136,12 +136,9 @@ def _read(
     """Read all points; anew, from the start, without a file that is found bad on the way and may be skipped."""
     readers = inputs.readers
     while True:
-        good = [str(reader.info.path) not in inputs.skipped for reader in readers]
         chunk_points = space.run_spec["cut"]["chunk_points"]
-        chunks = [
-            reader.chunks(chunk_points) if kept else list[Chunk]() for reader, kept in zip(readers, good, strict=True)
-        ]
-        total = sum(reader.info.point_count for reader, kept in zip(readers, good, strict=True) if kept)
+        chunks = [() if str(reader.info.path) in inputs.skipped else reader.chunks(chunk_points) for reader in readers]
+        total = sum(chunk.points for own in chunks for chunk in own)
         checkpoints = Checkpoints(space, work.kinds)
         collector = ResultCollector(readers, [len(own) for own in chunks], checkpoints, inputs.skip)
         unread, read = cut_ranges(readers, chunks, executor.range_points(total), collector.read_spans())
