@@ -49,6 +49,13 @@ def test_natural_breaks_are_the_best_of_all_splits(values):
     assert found == pytest.approx(best, rel=1e-9, abs=1e-12)
 
 
+def test_a_calibration_to_fit_again_that_cannot_be_read_is_named(tmp_path):
+    command = [sys.executable, "-m", "bumpymap.lab.simulate.refit", str(tmp_path / "none.json")]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout) == (1, "")
+    assert ended.stderr.startswith(f"Error: cannot read the calibration {tmp_path}")
+
+
 def test_failed_drives_count_in_p_fail_and_not_in_c_r(monkeypatch):
     def drives(*c_r):
         return PatchDrives(tuple("completed" if c is not None else "rolled" for c in c_r), c_r)

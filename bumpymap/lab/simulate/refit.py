@@ -348,13 +348,20 @@ def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
     return [(a + b) / 2 for a, b in pairwise(centre)]
 
 
-if __name__ == "__main__":
+def _refit_files(names: Sequence[str]) -> None:
+    """Fit the named calibrations again, in place; the shipped ones if none is named."""
     shipped = Path(str(files("bumpymap.rating") / "data" / "calibrations"))
-    for path in [Path(name) for name in sys.argv[1:]] or sorted(
-        shipped.rglob("*.json"), key=lambda own: len(own.parts)
-    ):
+    paths = [Path(name) for name in names] or sorted(shipped.rglob("*.json"), key=lambda own: len(own.parts))
+    for path in paths:
         of_other_tiles = path.resolve().parent.parent == shipped  # 5m/NAME.json has the class limits of NAME.json
         like = Calibration.load(shipped / path.name) if of_other_tiles else None
         text = refit(Calibration.load(path), like).to_json()
         with atomic(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    try:
+        _refit_files(sys.argv[1:])
+    except BumpymapError as error:
+        sys.exit(f"Error: {error}")
