@@ -9,7 +9,7 @@ namespace {
 
 // Kind of a point that is ground: POINT_GROUND in core/types.py.
 constexpr std::uint8_t ground_kind = 1;
-// Point source id of points that name no flight line (LAS 1.4, 2.4.2.8): of a photogrammetric cloud all have it.
+// Points of no flight line: neither they nor their file have a source id. Clouds of photogrammetry have such alone.
 constexpr std::uint16_t no_line = 0;
 // Side of a cell, m.
 constexpr double cell_m = 3.0;
